@@ -1,0 +1,193 @@
+/* SPDX-License-Identifier: MIT */
+/*
+ * btf_plugin.h: for authors of codecs, built in or loaded as modules. A codec includes this header and nothing of
+ * the library's inside; it calls the library through the host table it is handed, so one binary works with the
+ * static and the shared library. CONTRIBUTING.md shows how to add a codec step by step.
+ *
+ * A model is a set of payload chunks. `fit` writes them; `load` turns them into a state for evaluation. A fresh
+ * fit is loaded from the same bytes that a file would hold, so that both evaluate alike bit for bit.
+ */
+#ifndef LIBBTF_BTF_PLUGIN_H
+#define LIBBTF_BTF_PLUGIN_H
+
+#include "btf_model.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/** Collects the payload of one model while it is fitted. */
+typedef struct btf_chunk_writer btf_chunk_writer;
+/** Gives the payload of one model while it is loaded. */
+typedef struct btf_chunk_reader btf_chunk_reader;
+
+/** FourCC of a chunk, first letter in the low byte. */
+#define BTF_TAG(a, b, c, d)                                                                                  \
+  ((uint32_t)(unsigned char)(a) | (uint32_t)(unsigned char)(b) << 8 | (uint32_t)(unsigned char)(c) << 16 |   \
+   (uint32_t)(unsigned char)(d) << 24)
+
+enum {
+  /** Stored as it is on a 64-byte boundary and used straight from a mapping; otherwise zstd when that is smaller. */
+  BTF_PAYLOAD_IN_PLACE = 1u << 0
+};
+
+/** Instruction sets for kernels, as capped by the context. Each includes those below it of its family. */
+enum { BTF_ISA_SCALAR = 0, BTF_ISA_AVX2 = 1 /* with FMA and F16C */, BTF_ISA_AVX512 = 2 /* F, BW, VL, DQ */,
+       BTF_ISA_NEON = 16 };
+
+/** What every model has; given to `load`. FROZEN. */
+typedef struct btf_model_shape {
+  const btf_dirset *lights, *views;
+  uint32_t width, height, channels, quantity, wrap, reserved;
+} btf_model_shape;
+
+/** Reads items item0 .. item0 + items - 1 of a matrix as floats, laid out as btf_svd_desc.layout says, with rows
+ *  `ld` floats apart. Called from one thread. Values must be finite. */
+typedef btf_status (*btf_matrix_read_fn)(void *user, uint64_t item0, uint64_t items, float *dst, size_t ld);
+enum {
+  BTF_LAYOUT_ITEM_ROWS = 0,   /**< element j of item i at dst[i * ld + j], ld >= length */
+  BTF_LAYOUT_ITEM_COLUMNS = 1 /**< element j of item i at dst[j * ld + i], ld >= items */
+};
+/** A matrix of `items` vectors of `length` elements that is read in blocks of items, and what to compute of it. */
+typedef struct btf_svd_desc {
+  size_t struct_size;
+  uint64_t items, length;
+  btf_matrix_read_fn read;
+  void *user;
+  uint32_t layout;
+  uint32_t rank; /**< triplets wanted; with a target, the most */
+  /** 0, or a squared Frobenius residual: the smallest rank that reaches it is returned (or `rank`). */
+  double target_residual;
+  /** Accepted ratio of the Frobenius error to the optimal one, minus 1; 0 = 0.0005. */
+  double tolerance;
+  uint64_t max_working_set; /**< bytes beside the result; 0 = 1 GiB */
+  uint64_t seed;
+  uint32_t block_items; /**< preferred multiple of items per read, 0 = any */
+  uint32_t reserved;
+} btf_svd_desc;
+/** A truncated singular value decomposition. Arrays are owned by the result. */
+typedef struct btf_svd_result {
+  size_t struct_size;
+  uint32_t rank;
+  uint32_t passes;      /**< complete readings of the matrix */
+  float *item_vectors;    /**< items x rank, row-major, orthonormal columns */
+  float *element_vectors; /**< length x rank, row-major, orthonormal columns */
+  double *sigma;          /**< rank singular values, descending */
+  double energy;          /**< squared Frobenius norm of the matrix */
+  double residual;        /**< squared Frobenius error of the truncation */
+} btf_svd_result;
+
+/** What the library offers a codec. Grows at its end only. */
+typedef struct btf_host {
+  uint32_t struct_size, abi;
+
+  /* Memory, counted against the context's limit; 64-byte aligned; NULL with the message set. */
+  void *(*alloc)(btf_context *ctx, uint64_t count, uint64_t size);
+  void (*free)(btf_context *ctx, void *ptr);
+
+  /* Sets the message (one line, no newline) and returns `code`. */
+  btf_status (*fail)(btf_context *ctx, btf_status code, const char *format, ...) LIBBTF_PRINTF(3, 4);
+  void (*log)(btf_context *ctx, int32_t level, const char *format, ...) LIBBTF_PRINTF(3, 4);
+
+  /* Threads. `thread` of a task is below thread_count. Calls from inside a task run serially. */
+  btf_status (*parallel)(btf_context *ctx, uint32_t count, btf_task_fn task, void *job);
+  uint32_t (*thread_count)(const btf_context *ctx);
+  /* BTF_ISA_*: kernels for more than this must not run. */
+  uint32_t (*isa)(const btf_context *ctx);
+  /* BTF_OK to go on, BTF_E_CANCELLED to stop. Fraction of the whole fit. From the thread that called `fit`. */
+  btf_status (*progress)(const btf_job *job, double fraction, const char *stage);
+
+  /* Data sets, as in btf_dataset.h. */
+  btf_status (*dataset_describe)(const btf_dataset *ds, btf_dataset_desc *io);
+  btf_status (*dataset_read)(const btf_dataset *ds, const btf_block *block, float *dst, const btf_strides *strides);
+
+  /* Options by parameter name: number, bool or index of the choice; or text. The name must be one of the codec's. */
+  double (*option)(const btf_options *options, const char *name);
+  const char *(*option_text)(const btf_options *options, const char *name);
+  /* 1 if the caller set the option, 0 if it has its default. */
+  int32_t (*option_is_set)(const btf_options *options, const char *name);
+
+  /* Directions, as in btf_dataset.h. */
+  uint32_t (*dirset_count)(const btf_dirset *set);
+  const float *(*dirset_directions)(const btf_dirset *set);
+  void (*dirset_locate)(const btf_dirset *set, const float dir[3], btf_interp *out);
+  void (*dirset_locate_n)(const btf_dirset *set, size_t n, const float *x, const float *y, const float *z,
+                          btf_interp *out);
+  uint32_t (*dirset_nearest)(const btf_dirset *set, const float dir[3]);
+
+  /* Payload. put copies; reserve returns zeroed memory of the chunk to fill in place until `fit` returns. A tag and
+   * index name a chunk and may be used once. get returns a pointer that lives as long as the model, aligned to 64
+   * bytes; a chunk that is not there is BTF_E_CORRUPT. has returns 1 if it is there. */
+  btf_status (*put)(btf_chunk_writer *w, uint32_t tag, uint32_t index, uint32_t flags, const void *src, uint64_t size);
+  btf_status (*reserve)(btf_chunk_writer *w, uint32_t tag, uint32_t index, uint32_t flags, uint64_t size, void **dst);
+  btf_status (*get)(btf_chunk_reader *r, uint32_t tag, uint32_t index, const void **data, uint64_t *size);
+  int32_t (*has)(const btf_chunk_reader *r, uint32_t tag, uint32_t index);
+
+  /* Truncated SVD under a memory budget (lib/svd). svd_free takes what svd filled. `job` may be NULL; its progress is
+   * reported between the fractions from and to. */
+  btf_status (*svd)(btf_context *ctx, const btf_svd_desc *desc, const btf_job *job, double from, double to,
+                    btf_svd_result *out);
+  void (*svd_free)(btf_context *ctx, btf_svd_result *result);
+
+  /* Mip levels of a texture of n interleaved floats per texel. Level l has max(1, w >> l) x max(1, h >> l) texels,
+   * each the area average of the finest texels it covers. mip_count is the number of levels down to 1 x 1. */
+  uint32_t (*mip_count)(uint32_t width, uint32_t height);
+  btf_status (*mip_filter)(btf_context *ctx, const float *src, size_t src_ld, uint32_t width, uint32_t height,
+                           uint32_t n, uint32_t level, float *dst, size_t dst_ld);
+} btf_host;
+
+/** A codec. Copied at registration; optional slots may be NULL. Grows at its end only. `state` is what load made.
+ *  Evaluation slots are total: whatever the bits of a query (NaN, infinities, below the horizon), they neither
+ *  fail, allocate, lock nor touch memory outside the state; the library sets results outside the domain to 0. */
+typedef struct btf_codec_vtbl {
+  uint32_t struct_size, abi; /**< these two never move */
+  const char *id;            /**< [a-z0-9._-], at most 63 bytes; without a dot for codecs of this project only */
+  const char *title;         /**< one line */
+  const char *version;
+  uint64_t caps;
+  const btf_param_desc *const *params; /**< NULL-terminated list of pointers; may be NULL */
+  uint32_t format_read_min, format_write; /**< payload versions read (up to format_write) and written */
+  /** Compresses. Optional: NULL without BTF_CAP_FIT. */
+  btf_status (*fit)(const btf_host *host, btf_context *ctx, const btf_dataset *ds, const btf_options *options,
+                    const btf_job *job, btf_chunk_writer *payload);
+  /** Checks the payload and makes a state. The host table, the shape and the payload outlive the state. */
+  btf_status (*load)(const btf_host *host, btf_context *ctx, uint32_t format, const btf_model_shape *shape,
+                     btf_chunk_reader *payload, void **state);
+  void (*destroy)(const btf_host *host, btf_context *ctx, void *state);
+  /** Levels of detail of the state, at least 1. */
+  uint32_t (*levels)(const void *state);
+  /** Memory evaluation may touch, in bytes. */
+  uint64_t (*resident_bytes)(const void *state);
+  /** Stored quantity of one query, `channels` floats. lod beyond the last level means the last level. */
+  void (*eval)(const void *state, const btf_query *query, float *out);
+  /** Optional: the same for a batch, equal to eval bit for bit. The batch is complete (no NULL but lod). */
+  void (*eval_n)(const void *state, const btf_batch *batch, float *const *out);
+  /** One decoded sample; indices are in range. */
+  void (*texel)(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view, float *out);
+} btf_codec_vtbl;
+
+/** What a module exports. */
+typedef struct btf_plugin_info {
+  uint32_t struct_size, abi;
+  const char *name, *license;
+  const btf_codec_vtbl *const *codecs;
+  uint32_t codec_count, reserved;
+} btf_plugin_info;
+/** Name of a module's one entry point; the ABI generation is part of it. */
+#define BTF_PLUGIN_ENTRY btf_plugin_entry_1
+#define BTF_PLUGIN_ENTRY_NAME "btf_plugin_entry_1"
+typedef const btf_plugin_info *(*btf_plugin_entry_fn)(uint32_t host_abi);
+
+/** Registers a codec in a context after checking it: ABI, required slots, id, parameters and their defaults,
+ *  capabilities against slots. A built-in or earlier codec cannot be replaced. BTF_E_PLUGIN, BTF_E_ABI.
+ *  Threads: exclusive, before the context's codecs are used. */
+LIBBTF_API LIBBTF_NODISCARD btf_status btf_context_register(btf_context *ctx, const btf_codec_vtbl *codec);
+
+/** Loads a module by absolute path and registers its codecs: all of them or none. Loading runs the module's code;
+ *  no file that libbtf opens can cause it. The module stays loaded as long as the context lives. Threads: exclusive. */
+LIBBTF_API LIBBTF_NODISCARD btf_status btf_context_load_plugin(btf_context *ctx, const char *absolute_path);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,15 @@
+/* SPDX-License-Identifier: MIT */
+/* registry.h: codecs of a context, options, and the host table codecs are handed. */
+#ifndef BTFI_REGISTRY_H
+#define BTFI_REGISTRY_H
+
+#include "base/base.h"
+#include "container/container.h"
+#include <btf/btf_plugin.h>
+
+const btf_host *btfi_host(void);
+const btf_codec_vtbl *btfi_codec_vtbl(const btf_codec *codec); /* full-size copy: absent slots are NULL */
+btf_context *btfi_codec_context(const btf_codec *codec);
+const btf_codec *btfi_options_codec(const btf_options *options);
+
+#endif

@@ -1,0 +1,62 @@
+/* SPDX-License-Identifier: MIT */
+/* btf_test.h: what every suite uses. A suite's main ends with `return btf_run(name, tests)`. */
+#ifndef BTF_TEST_H
+#define BTF_TEST_H
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include <btf/btf.h>
+
+/* Expects BTF_OK and prints the library's message otherwise. */
+#define assert_ok(expression)                                                                                \
+  do {                                                                                                       \
+    const btf_status assert_status = (expression);                                                           \
+    if (assert_status != BTF_OK)                                                                             \
+      fail_msg("%s: %s: %s", #expression, btf_status_name(assert_status), btf_error_message());              \
+  } while (0)
+#define assert_status(expression, expected)                                                                  \
+  do {                                                                                                       \
+    const btf_status assert_got = (expression);                                                              \
+    if (assert_got != (expected))                                                                            \
+      fail_msg("%s: %s instead of %s: %s", #expression, btf_status_name(assert_got),                         \
+               btf_status_name(expected), btf_error_message());                                              \
+  } while (0)
+#define assert_message_has(part)                                                                             \
+  do {                                                                                                       \
+    if (strstr(btf_error_message(), (part)) == NULL)                                                         \
+      fail_msg("message \"%s\" lacks \"%s\"", btf_error_message(), (part));                                  \
+  } while (0)
+#define assert_near(got, expected, tolerance)                                                                \
+  do {                                                                                                       \
+    const double near_got = (got), near_expected = (expected), near_tolerance = (tolerance);                 \
+    if (!(fabs(near_got - near_expected) <= near_tolerance))                                                 \
+      fail_msg("%s = %.9g, expected %.9g within %.3g", #got, near_got, near_expected, near_tolerance);       \
+  } while (0)
+#define assert_relative(got, expected, tolerance)                                                            \
+  assert_near((got), (expected), (tolerance) * fabs((double)(expected)))
+
+/* A context whose allocator counts live bytes and can be told to fail. One per test; teardown checks for leaks. */
+typedef struct test_memory {
+  long live_blocks, total_allocations;
+  long fail_at; /* the allocation with this number (from 1) fails; 0 = none */
+  int persistent; /* and all after it */
+} test_memory;
+btf_context *test_context(test_memory *memory);                    /* counting; aborts the test on failure */
+btf_context *test_context_with(test_memory *memory, const char *isa, uint32_t threads);
+void test_context_done(btf_context *ctx, test_memory *memory);     /* releases and expects no live blocks */
+const char *test_folder(void);                                     /* a fresh scratch folder of this process, removed at exit */
+const char *test_path(const char *name);                           /* scratch folder / name; static ring of 16 */
+
+int btf_run_group(const char *name, const struct CMUnitTest *tests, size_t count);
+#define btf_run(name, tests) btf_run_group((name), (tests), sizeof(tests) / sizeof((tests)[0]))
+
+#endif
