@@ -122,6 +122,8 @@ typedef struct btf_host {
   btf_status (*reserve)(btf_chunk_writer *w, uint32_t tag, uint32_t index, uint32_t flags, uint64_t size, void **dst);
   btf_status (*get)(btf_chunk_reader *r, uint32_t tag, uint32_t index, const void **data, uint64_t *size);
   int32_t (*has)(const btf_chunk_reader *r, uint32_t tag, uint32_t index);
+  /* zstd level for this model's chunks when it is stored without a level of the caller's; 0 = default. */
+  void (*set_zstd_level)(btf_chunk_writer *w, int32_t level);
 
   /* Truncated SVD under a memory budget (lib/svd). svd_free takes what svd filled. `job` may be NULL; its progress is
    * reported between the fractions from and to. */

@@ -51,6 +51,7 @@ btf_status btfi_chunk_reserve(btf_chunk_writer *w, uint32_t tag, uint32_t index,
                               void **dst);
 btf_status btfi_chunk_get(btf_chunk_reader *r, uint32_t tag, uint32_t index, const void **data, uint64_t *size);
 int32_t btfi_chunk_has(const btf_chunk_reader *r, uint32_t tag, uint32_t index);
+void btfi_chunk_set_zstd_level(btf_chunk_writer *w, int32_t level);
 
 btf_context *btfi_file_context(const btf_file *file);
 /* The payload of model i: header parsed, chunks on demand. Keeps the byte source open. */
