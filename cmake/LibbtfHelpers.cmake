@@ -43,6 +43,7 @@ function(libbtf_codec name)
     set_target_properties(btf_codec_${name} PROPERTIES PREFIX "" OUTPUT_NAME "btf_${name}"
       LIBRARY_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/plugins")
     target_link_libraries(btf_codec_${name} PRIVATE m)
+    set_property(GLOBAL APPEND PROPERTY libbtf_codec_modules btf_codec_${name})
   elseif(NOT mode STREQUAL "OFF")
     message(FATAL_ERROR "LIBBTF_CODEC_${upper} is \"${mode}\"; it takes STATIC, MODULE or OFF")
   endif()

@@ -1,0 +1,73 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: MIT
+# Installs a build to a scratch prefix and builds consumers against it: find_package, pkg-config shared and static,
+# add_subdirectory; also after the tree was moved. Usage: run.sh BUILD_DIR SOURCE_DIR
+set -eu
+build=$1
+source=$2
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+passed=0
+failed=0
+check() { # name command...
+  local name=$1
+  shift
+  if "$@" >"$work/log" 2>&1; then
+    passed=$((passed + 1))
+    echo "ok $name"
+  else
+    failed=$((failed + 1))
+    echo "FAILED $name"
+    cat "$work/log"
+  fi
+}
+
+cmake --install "$build" --prefix "$work/first" >/dev/null
+mv "$work/first" "$work/prefix" # the installed tree must be relocatable
+libdir=$(dirname "$(find "$work/prefix" -name 'libbtf.pc')")/..
+export PKG_CONFIG_PATH="$libdir/pkgconfig" LD_LIBRARY_PATH="$libdir"
+
+(cd "$work/prefix" && find . -type f -o -type l | sed 's|^\./||; s|lib/[a-z0-9_]*-linux-gnu[a-z0-9]*/|lib/|' | LC_ALL=C sort) >"$work/installed"
+check "installed files equal the manifest" diff -u "$source/tests/consumer/installed.txt" "$work/installed"
+
+build_package() {
+  cmake -S "$source/tests/consumer" -B "$work/package" -DCMAKE_PREFIX_PATH="$work/prefix" &&
+    cmake --build "$work/package" && "$work/package/consumer_c" && "$work/package/consumer_static" &&
+    "$work/package/consumer_cxx"
+}
+check "find_package" build_package
+
+build_subdirectory() {
+  cmake -S "$source/tests/consumer" -B "$work/sub" -DLIBBTF_SUBDIRECTORY="$source" -DLIBBTF_BUILD_TOOLS=OFF &&
+    cmake --build "$work/sub" && "$work/sub/consumer_c" && "$work/sub/consumer_static" && "$work/sub/consumer_cxx"
+}
+check "add_subdirectory" build_subdirectory
+
+# shellcheck disable=SC2046
+pkg_shared() {
+  ${CC:-cc} -std=c99 -Wall -Wextra -Wpedantic -Werror "$source/tests/consumer/consumer.c" \
+    -o "$work/pkg_shared" $(pkg-config --cflags --libs libbtf) -lm && "$work/pkg_shared" &&
+    ldd "$work/pkg_shared" | grep -q libbtfcore.so
+}
+check "pkg-config shared" pkg_shared
+
+# shellcheck disable=SC2046
+pkg_static() {
+  ${CC:-cc} -std=c99 -DLIBBTF_STATIC "$source/tests/consumer/consumer.c" -o "$work/pkg_static" $(pkg-config --cflags libbtf) \
+    "$(pkg-config --variable=libdir libbtf)/libbtfcore.a" $(pkg-config --static --libs-only-l libbtf | sed 's/-lbtfcore//') &&
+    "$work/pkg_static" && ! ldd "$work/pkg_static" | grep -q libbtfcore
+}
+check "pkg-config static" pkg_static
+
+for header in btf btf_base btf_dataset btf_model btf_io btf_plugin btf_half btf_sampling; do
+  printf '#include <btf/%s.h>\nint main(void) { return 0; }\n' $header >"$work/one.c"
+  check "$header.h alone as C99" ${CC:-cc} -std=c99 -Wall -Wextra -Wpedantic -Wpadded -Werror -fsyntax-only -I"$source/include" "$work/one.c"
+  check "$header.h alone as C++11" ${CXX:-c++} -x c++ -std=c++11 -Wall -Wextra -Wpedantic -Werror -fsyntax-only -I"$source/include" "$work/one.c"
+done
+printf '#include <linux/btf.h>\n#include <btf/btf.h>\n#include <btf/btf_plugin.h>\nint main(void) { return 0; }\n' >"$work/one.c"
+check "after <linux/btf.h>" ${CC:-cc} -std=c99 -Wall -Werror -fsyntax-only -I"$source/include" "$work/one.c"
+printf '#include <btf/btf.h>\n#include <btf/btf_plugin.h>\n#include <linux/btf.h>\nint main(void) { return 0; }\n' >"$work/one.c"
+check "before <linux/btf.h>" ${CC:-cc} -std=c99 -Wall -Werror -fsyntax-only -I"$source/include" "$work/one.c"
+
+echo "$passed passed, $failed failed"
+[ "$failed" = 0 ]
