@@ -4,7 +4,7 @@
  * levels. Data sets that are evaluated as they stand and all codecs share it, so that differences between
  * them are differences of the data alone.
  *
- * All functions are total: NaN counts as 0, infinities and huge numbers are legal, sizes are 1 or more. Texel
+ * All functions are total: NaN counts as 0, infinities and huge numbers are legal. Sizes are 1 to 2^24. Texel
  * (x, y) has its centre at u = (x + 0.5) / width, v = (y + 0.5) / height. Since u is a float, a centre is hit
  * exactly when u is the float nearest to it: distances below width / 2^24 texels, which a float cannot
  * express near 1, count as 0. Threads: free.
