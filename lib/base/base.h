@@ -77,7 +77,8 @@ typedef struct btfi_job {
   btf_job desc;
   btf_context *ctx;
   int64_t last_report_ns;
-  const char *last_stage;
+  double last_fraction; /* of the last report, -1 before the first */
+  char last_stage[64];  /* a copy, since a codec may name its stages in a buffer of its own */
   bool cancelled;
 } btfi_job;
 /* Copies the caller's job (NULL = defaults; max_working_set becomes 1 GiB when 0). */
@@ -135,6 +136,7 @@ typedef struct btfi_buffer {
 } btfi_buffer;
 void btfi_buffer_init(btfi_buffer *b, btf_context *ctx);
 void btfi_buffer_free(btfi_buffer *b);
+btf_status btfi_buffer_status(const btfi_buffer *b);
 void btfi_put_bytes(btfi_buffer *b, const void *src, uint64_t n);
 void btfi_put_u8(btfi_buffer *b, uint8_t v);
 void btfi_put_u16(btfi_buffer *b, uint16_t v);
@@ -142,7 +144,10 @@ void btfi_put_u32(btfi_buffer *b, uint32_t v);
 void btfi_put_u64(btfi_buffer *b, uint64_t v);
 void btfi_put_f32(btfi_buffer *b, float v);
 void btfi_put_f64(btfi_buffer *b, double v);
-void btfi_put_text(btfi_buffer *b, const char *format, ...) LIBBTF_PRINTF(2, 3); /* no NUL */
+void btfi_put_text(btfi_buffer *b, const char *format, ...) LIBBTF_PRINTF(2, 3); /* no NUL; in the C locale */
+
+/* Bytes of the valid UTF-8 sequence at the start of the text, 0 if there is none. */
+uint32_t btfi_utf8_length(const void *text, uint64_t size);
 
 /* ---- JSON (json.c) ---- */
 
@@ -155,6 +160,7 @@ void btfi_json_free(btfi_json *root);
 int btfi_json_type(const btfi_json *v);
 uint64_t btfi_json_length(const btfi_json *v);                        /* of an array or object, else 0 */
 const btfi_json *btfi_json_at(const btfi_json *v, uint64_t i);        /* NULL out of range; constant time for arrays */
+const char *btfi_json_key(const btfi_json *member);                       /* NULL unless in an object; and with NUL inside */
 const btfi_json *btfi_json_get(const btfi_json *object, const char *key); /* NULL if absent */
 double btfi_json_number(const btfi_json *v);                           /* 0 unless a number */
 const char *btfi_json_string(const btfi_json *v);                      /* NULL unless a string without NUL inside */
