@@ -168,7 +168,8 @@ typedef struct btf_codec_vtbl {
   void (*texel)(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view, float *out);
 } btf_codec_vtbl;
 
-/** What a module exports. */
+/** What a module exports. Names beginning with "libbtf " are for this project's own modules, whose codecs may have ids
+ *  without a dot. */
 typedef struct btf_plugin_info {
   uint32_t struct_size, abi;
   const char *name, *license;

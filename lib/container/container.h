@@ -39,6 +39,7 @@ const btfi_model_header *btfi_payload_header(const btfi_payload *p);
 uint32_t btfi_payload_chunk_count(const btfi_payload *p);
 /* The chunk, read, verified and unpacked on first use for payloads of a file; thread-safe. */
 btf_status btfi_payload_chunk(btfi_payload *p, uint32_t i, btfi_chunk *out);
+const char *btfi_payload_source_name(const btfi_payload *p); /* of the file it came from, NULL otherwise */
 uint64_t btfi_payload_stored_bytes(const btfi_payload *p); /* 0 unless it came from a file */
 btf_chunk_writer *btfi_payload_writer(btfi_payload *p); /* valid until the payload is sealed */
 void btfi_payload_seal(btfi_payload *p);

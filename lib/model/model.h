@@ -25,4 +25,7 @@ struct btf_model {
 extern const btf_codec_vtbl btfi_raw_codec;
 btf_status btfi_raw_state(const btf_dataset *ds, const btf_job *job, void **state);
 
+/* Loads the payload with the codec; the model retains it. */
+btf_status btfi_model_from_payload(const btf_codec *codec, btfi_payload *payload, btf_model **out);
+
 #endif

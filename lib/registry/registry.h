@@ -12,4 +12,9 @@ const btf_codec_vtbl *btfi_codec_vtbl(const btf_codec *codec); /* full-size copy
 btf_context *btfi_codec_context(const btf_codec *codec);
 const btf_codec *btfi_options_codec(const btf_options *options);
 
+/* Host table entries: values by parameter name; 0 or NULL for a name the codec does not have. */
+double btfi_option(const btf_options *options, const char *name);
+const char *btfi_option_text(const btf_options *options, const char *name);
+int32_t btfi_option_is_set(const btf_options *options, const char *name);
+
 #endif
