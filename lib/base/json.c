@@ -107,7 +107,7 @@ static btf_status parse_escape(json_parser *j, char **out) {
   if (code >= 0xdc00u && code <= 0xdfffu)
     return refuse(j, where, "low surrogate without a high one before it");
   if (code >= 0xd800u && code <= 0xdbffu) {
-    if (j->end - j->p < 2) return refuse(j, j->end, "");
+    if (j->p == j->end || (*j->p == '\\' && j->end - j->p == 1)) return refuse(j, j->end, "");
     if (j->p[0] != '\\' || j->p[1] != 'u')
       return refuse(j, where, "high surrogate without a low one after it");
     j->p += 2;
