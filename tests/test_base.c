@@ -236,7 +236,9 @@ static void the_memory_limit_is_exact(void **state) {
 }
 
 static void *crooked_alloc(void *user, size_t size, size_t align) {
-  return (unsigned char *)aligned_alloc(align, *(size_t *)user ? size + 64 : size) + *(size_t *)user;
+  const size_t shift = *(size_t *)user;
+  unsigned char *block = aligned_alloc(align, (size + shift + 63) & ~(size_t)63);
+  return block ? block + shift : NULL;
 }
 static void crooked_free(void *user, void *ptr, size_t size) {
   (void)size;

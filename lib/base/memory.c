@@ -14,7 +14,7 @@ static _Thread_local btf_status last_alloc_status;
 
 static void *default_alloc(void *user, size_t size, size_t align) {
   (void)user;
-  return aligned_alloc(align, size);
+  return aligned_alloc(align, (size + align - 1) & ~(align - 1)); /* C11 wants a multiple */
 }
 
 static void default_free(void *user, void *ptr, size_t size) {
