@@ -7,6 +7,19 @@
 #include <btf/btf_dataset.h>
 
 btf_context *btfi_dirset_context(const btf_dirset *set);
-bool btfi_dirset_equal(const btf_dirset *a, const btf_dirset *b); /* same directions, bit for bit, in the same order */
+bool btfi_dirset_equal(const btf_dirset *a,
+                       const btf_dirset *b); /* same directions, bit for bit, in the same order */
+
+/* ---- parabolic maps (parabolic.c) ---- */
+
+/* The unit vector of the upper hemisphere at a point of the unit disc; a point outside is moved to its rim.
+ */
+void btfi_parabolic_direction(float px, float py, float dir[3]);
+/* Direction at the centre of texel (x, y) of a size x size map over [-1, 1]^2, row 0 at y near -1. Texels
+ * whose centre lies outside the disc get the nearest horizon direction, so that filtering never meets an
+ * empty one. */
+void btfi_parabolic_texel(uint32_t size, uint32_t x, uint32_t y, float dir[3]);
+/* Interpolation weights at the centres of all texels of such a map, size * size entries. */
+void btfi_dirset_rasterise(const btf_dirset *set, uint32_t size, btf_interp *out);
 
 #endif
