@@ -11,6 +11,9 @@
 btf_context *btfi_dataset_context(const btf_dataset *ds);
 /* The description inside, complete (names and color space filled in, `data` set when resident or mapped). */
 const btf_dataset_desc *btfi_dataset_desc(const btf_dataset *ds);
+/* Views x lights entries that tell where a common light lies in its view's own list; NULL without such lists.
+ */
+const btf_interp *btfi_dataset_light_weights(const btf_dataset *ds);
 uint32_t btfi_sample_size(uint32_t sample_type); /* bytes, 0 if unknown */
 /* One sample of any type at a byte address, as float. */
 float btfi_sample_to_float(uint32_t sample_type, const void *src);
@@ -18,13 +21,21 @@ float btfi_sample_to_float(uint32_t sample_type, const void *src);
 /* ---- mip levels (mip.c) ---- */
 
 uint32_t btfi_mip_count(uint32_t width, uint32_t height);
-/* Texel i of a level of `level_size` texels over `size` finest ones covers finest texels first .. first + count - 1;
- * those between weigh 1 each, the first and last the fractions returned; the total is size / level_size. */
+/* Texel i of a level of `level_size` texels over `size` finest ones covers i * size / level_size to
+ * (i + 1) * size / level_size on the finest axis: texels first .. first + count - 1, of which the first and
+ * the last count by the fraction given (first_weight alone when count is 1) and those between by 1. The sum
+ * of all is size / level_size. */
 typedef struct btfi_mip_span {
   uint32_t first, count;
-  float first_weight, last_weight; /* in finest texels; count 1 uses first_weight */
+  double first_weight, last_weight;
 } btfi_mip_span;
 void btfi_mip_span_of(uint32_t size, uint32_t level_size, uint32_t i, btfi_mip_span *out);
+static inline double btfi_mip_weight(const btfi_mip_span *span, uint32_t k) {
+  return k == 0 ? span->first_weight : k + 1 == span->count ? span->last_weight : 1.0;
+}
+/* Filters n interleaved floats per texel from the finest level straight to `level`, every texel the area
+ * average of what it covers. Texels are src_ld (dst_ld) >= n floats apart and follow each other row by row
+ * without gaps. Sums in double. */
 btf_status btfi_mip_filter(btf_context *ctx, const float *src, size_t src_ld, uint32_t width, uint32_t height,
                            uint32_t n, uint32_t level, float *dst, size_t dst_ld);
 

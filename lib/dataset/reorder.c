@@ -1,0 +1,309 @@
+/* SPDX-License-Identifier: MIT */
+/* Blocks of samples between two orders. The axes are merged and sorted first, so that every layout becomes
+ * one of two cases: rows that are contiguous on both sides, and tiles that are converted in the samples'
+ * order into a buffer in the first-level cache and moved from there in the floats' order. */
+#include "dataset/convert.h"
+
+#include <string.h>
+
+enum { tile_floats = 4096, good_run = 64, parallel_from = 1 << 18 };
+
+/* One axis: neighbours are `sample` bytes apart among the samples and `floats` bytes among the floats. */
+typedef struct plan_axis {
+  size_t count;
+  ptrdiff_t sample, floats;
+} plan_axis;
+
+typedef struct reorder_plan {
+  const btfi_convert_kernels *kernels;
+  plan_axis axis[btfi_axes_most];    /* in the samples' order, the closest neighbours first */
+  uint32_t by_float[btfi_axes_most]; /* the same in the floats' order */
+  size_t tile[btfi_axes_most];
+  uint32_t count;
+  bool packing;
+} reorder_plan;
+
+/* Broadcast axes (stride 0) belong outside. */
+static size_t distance(ptrdiff_t stride) {
+  return stride == 0 ? SIZE_MAX : (size_t)(stride < 0 ? -stride : stride);
+}
+
+static void merge_axes(reorder_plan *p) {
+  for (uint32_t i = 0; i < p->count; ++i)
+    for (uint32_t j = 0; j < p->count; ++j) {
+      const plan_axis a = p->axis[i], b = p->axis[j];
+      if (i == j || b.sample != a.sample * (ptrdiff_t)a.count || b.floats != a.floats * (ptrdiff_t)a.count)
+        continue;
+      p->axis[i].count = a.count * b.count;
+      p->axis[j] = p->axis[--p->count];
+      merge_axes(p);
+      return;
+    }
+}
+
+static void sort_axes(reorder_plan *p) {
+  for (uint32_t i = 1; i < p->count; ++i)
+    for (uint32_t j = i; j > 0 && distance(p->axis[j].sample) < distance(p->axis[j - 1].sample); --j) {
+      const plan_axis swapped = p->axis[j];
+      p->axis[j] = p->axis[j - 1];
+      p->axis[j - 1] = swapped;
+    }
+  for (uint32_t i = 0; i < p->count; ++i) {
+    uint32_t j = i;
+    for (; j > 0 && distance(p->axis[i].floats) < distance(p->axis[p->by_float[j - 1]].floats); --j)
+      p->by_float[j] = p->by_float[j - 1];
+    p->by_float[j] = i;
+  }
+}
+
+/* Extends the tile along axis k to `wanted` neighbours, as far as the buffer has room. */
+static void extend_tile(reorder_plan *p, uint32_t k, size_t wanted, size_t *floats) {
+  const size_t room = tile_floats / (*floats / p->tile[k]);
+  size_t extent = BTFI_MIN(BTFI_MIN(wanted, p->axis[k].count), room);
+  if (extent > 8 && extent < p->axis[k].count) extent &= ~(size_t)7;
+  if (extent <= p->tile[k]) return;
+  *floats = *floats / p->tile[k] * extent;
+  p->tile[k] = extent;
+}
+
+static void choose_tile(reorder_plan *p) {
+  size_t floats = 1, run = 1;
+  for (uint32_t k = 0; k < p->count; ++k) p->tile[k] = 1;
+  for (uint32_t k = 0; k < p->count && run < good_run; ++k) {
+    extend_tile(p, k, (good_run + run - 1) / run + 7, &floats);
+    run *= p->tile[k];
+  }
+  run = 1;
+  for (uint32_t i = 0; i < p->count && run < good_run; ++i) {
+    const uint32_t k = p->by_float[i];
+    extend_tile(p, k, (good_run + run - 1) / run + 7, &floats);
+    run *= p->tile[k];
+  }
+  for (uint32_t i = 0; i < p->count; ++i) extend_tile(p, p->by_float[i], tile_floats, &floats);
+}
+
+static void make_plan(reorder_plan *p) {
+  merge_axes(p);
+  sort_axes(p);
+  choose_tile(p);
+}
+
+/* ---- floats moved inside a tile ---- */
+
+typedef struct move_axis {
+  size_t count;
+  ptrdiff_t src, dst; /* bytes */
+} move_axis;
+
+/* The two innermost axes. */
+static void move_plane(const btfi_convert_kernels *kernels, const char *src, char *dst, move_axis a,
+                       move_axis b) {
+  const ptrdiff_t one = (ptrdiff_t)sizeof(float);
+  if (a.src == one && a.dst == one) {
+    if (a.count == 3)
+      for (size_t j = 0; j < b.count; ++j)
+        memcpy(dst + (ptrdiff_t)j * b.dst, src + (ptrdiff_t)j * b.src, 3 * sizeof(float));
+    else
+      for (size_t j = 0; j < b.count; ++j)
+        memcpy(dst + (ptrdiff_t)j * b.dst, src + (ptrdiff_t)j * b.src, a.count * sizeof(float));
+  } else if (a.dst == one && b.src == one) {
+    if (b.count == 3 && a.src == 3 * one)
+      kernels->split3((const float *)(const void *)src, (float *)(void *)dst, (float *)(void *)(dst + b.dst),
+                      (float *)(void *)(dst + 2 * b.dst), a.count);
+    else
+      kernels->transpose((const float *)(const void *)src, a.src / one, (float *)(void *)dst, b.dst / one,
+                         b.count, a.count);
+  } else {
+    for (size_t j = 0; j < b.count; ++j)
+      for (size_t i = 0; i < a.count; ++i)
+        memcpy(dst + (ptrdiff_t)j * b.dst + (ptrdiff_t)i * a.dst,
+               src + (ptrdiff_t)j * b.src + (ptrdiff_t)i * a.src, sizeof(float));
+  }
+}
+
+static void move_floats(const btfi_convert_kernels *kernels, const char *src, char *dst,
+                        const move_axis *axis, uint32_t count) {
+  static const move_axis single = {1, 0, 0};
+  if (count <= 2) {
+    move_axis a = count > 0 ? axis[0] : single, b = count > 1 ? axis[1] : single;
+    if (count < 2) b = single;
+    if (count == 0) a.src = a.dst = sizeof(float);
+    /* The kernels walk the destination row by row. */
+    if (b.dst == (ptrdiff_t)sizeof(float) && a.dst != b.dst) {
+      const move_axis swapped = a;
+      a = b;
+      b = swapped;
+    }
+    move_plane(kernels, src, dst, a, b);
+    return;
+  }
+  const move_axis outer = axis[count - 1];
+  for (size_t i = 0; i < outer.count; ++i)
+    move_floats(kernels, src + (ptrdiff_t)i * outer.src, dst + (ptrdiff_t)i * outer.dst, axis, count - 1);
+}
+
+/* ---- tiles ---- */
+
+typedef struct tile_view {
+  const reorder_plan *plan;
+  size_t extent[btfi_axes_most];
+  size_t run;        /* neighbouring samples converted at once */
+  uint32_t run_axes; /* axes they take up */
+} tile_view;
+
+static bool convert_run(const reorder_plan *p, char *samples, float *buffer, size_t run) {
+  return p->packing ? p->kernels->pack(buffer, samples, run) : p->kernels->unpack(samples, buffer, run);
+}
+
+/* Converts between the samples and the buffer, which is dense in the samples' order. */
+static bool convert_rows(const tile_view *t, uint32_t level, char *samples, float **buffer) {
+  if (level == t->run_axes) {
+    const bool fine = convert_run(t->plan, samples, *buffer, t->run);
+    *buffer += t->run;
+    return fine;
+  }
+  bool fine = true;
+  for (size_t i = 0; i < t->extent[level - 1]; ++i)
+    fine &= convert_rows(t, level - 1, samples + (ptrdiff_t)i * t->plan->axis[level - 1].sample, buffer);
+  return fine;
+}
+
+static bool convert_tile(tile_view *t, char *samples, char *floats) {
+  const reorder_plan *p = t->plan;
+  _Alignas(64) float buffer[tile_floats];
+  move_axis axis[btfi_axes_most];
+  ptrdiff_t inside[btfi_axes_most], dense = (ptrdiff_t)sizeof(float);
+  for (uint32_t k = 0; k < p->count; ++k) {
+    inside[k] = dense;
+    dense *= (ptrdiff_t)t->extent[k];
+  }
+  for (uint32_t i = 0; i < p->count; ++i) {
+    const uint32_t k = p->by_float[i];
+    axis[i].count = t->extent[k];
+    axis[i].src = p->packing ? p->axis[k].floats : inside[k];
+    axis[i].dst = p->packing ? inside[k] : p->axis[k].floats;
+  }
+  /* The axis that is dense in the buffer belongs into the innermost plane, where the kernels transpose. */
+  for (uint32_t i = 2; i < p->count; ++i)
+    if (p->by_float[i] == 0) {
+      const move_axis dense_axis = axis[i];
+      memmove(axis + 2, axis + 1, (i - 1) * sizeof axis[0]);
+      axis[1] = dense_axis;
+      break;
+    }
+  t->run = 1;
+  for (t->run_axes = 0; t->run_axes < p->count; ++t->run_axes) {
+    if (p->axis[t->run_axes].sample != (ptrdiff_t)(t->run * p->kernels->sample_size)) break;
+    t->run *= t->extent[t->run_axes];
+  }
+  float *next = buffer;
+  if (p->packing) {
+    move_floats(p->kernels, floats, (char *)buffer, axis, p->count);
+    return convert_rows(t, p->count, samples, &next);
+  }
+  const bool fine = convert_rows(t, p->count, samples, &next);
+  move_floats(p->kernels, (const char *)buffer, floats, axis, p->count);
+  return fine;
+}
+
+static bool walk_tiles(tile_view *t, uint32_t level, char *samples, char *floats) {
+  if (level == 0) return convert_tile(t, samples, floats);
+  const plan_axis axis = t->plan->axis[level - 1];
+  const size_t step = t->plan->tile[level - 1];
+  bool fine = true;
+  for (size_t i = 0; i < axis.count; i += step) {
+    t->extent[level - 1] = BTFI_MIN(step, axis.count - i);
+    fine &=
+        walk_tiles(t, level - 1, samples + (ptrdiff_t)i * axis.sample, floats + (ptrdiff_t)i * axis.floats);
+  }
+  return fine;
+}
+
+static bool walk_rows(const reorder_plan *p, uint32_t level, char *samples, char *floats) {
+  if (level <= 1) return convert_run(p, samples, (float *)(void *)floats, p->count ? p->axis[0].count : 1);
+  const plan_axis axis = p->axis[level - 1];
+  bool fine = true;
+  for (size_t i = 0; i < axis.count; ++i)
+    fine &=
+        walk_rows(p, level - 1, samples + (ptrdiff_t)i * axis.sample, floats + (ptrdiff_t)i * axis.floats);
+  return fine;
+}
+
+static bool run_plan(const reorder_plan *p, char *samples, char *floats) {
+  const bool rows = p->count == 0 || (p->axis[0].sample == (ptrdiff_t)p->kernels->sample_size &&
+                                      p->axis[0].floats == (ptrdiff_t)sizeof(float) &&
+                                      (p->count == 1 || p->axis[0].count >= 16));
+  if (rows) return walk_rows(p, p->count, samples, floats);
+  tile_view t = {.plan = p};
+  return walk_tiles(&t, p->count, samples, floats);
+}
+
+/* ---- blocks ---- */
+
+static void start_plan(reorder_plan *p, const btfi_convert_kernels *kernels, const btfi_axis *axes,
+                       uint32_t count, bool packing) {
+  memset(p, 0, sizeof *p);
+  p->kernels = kernels;
+  p->packing = packing;
+  for (uint32_t k = 0; k < count; ++k) {
+    if (axes[k].count == 1) continue;
+    p->axis[p->count].count = axes[k].count;
+    p->axis[p->count].sample = packing ? axes[k].dst : axes[k].src;
+    p->axis[p->count].floats = packing ? axes[k].src : axes[k].dst;
+    p->count++;
+  }
+  make_plan(p);
+}
+
+bool btfi_pack_block(const btfi_convert_kernels *kernels, const btfi_axis *axes, uint32_t axis_count,
+                     const void *src, void *dst) {
+  reorder_plan plan;
+  start_plan(&plan, kernels, axes, axis_count, true);
+  return run_plan(&plan, (char *)dst, (char *)(uintptr_t)src);
+}
+
+typedef struct unpack_job {
+  const reorder_plan *plan;
+  char *samples, *floats;
+  uint32_t split; /* axis that is divided among the tasks */
+  size_t step;
+  atomic_bool finite;
+} unpack_job;
+
+static void unpack_part(void *user, uint32_t index, uint32_t thread) {
+  (void)thread;
+  unpack_job *job = user;
+  reorder_plan part = *job->plan;
+  plan_axis *axis = &part.axis[job->split];
+  const size_t first = (size_t)index * job->step;
+  axis->count = BTFI_MIN(job->step, axis->count - first);
+  if (!run_plan(&part, job->samples + (ptrdiff_t)first * axis->sample,
+                job->floats + (ptrdiff_t)first * axis->floats))
+    atomic_store_explicit(&job->finite, false, memory_order_relaxed);
+}
+
+btf_status btfi_unpack_block(btf_context *ctx, const btfi_convert_kernels *kernels, const btfi_axis *axes,
+                             uint32_t axis_count, const void *src, void *dst, bool *finite) {
+  reorder_plan plan;
+  start_plan(&plan, kernels, axes, axis_count, false);
+  char *samples = (char *)(uintptr_t)src;
+  size_t total = 1;
+  for (uint32_t k = 0; k < plan.count; ++k) total *= plan.axis[k].count;
+  const uint32_t parts = 4 * btfi_thread_count(ctx);
+  if (total < parallel_from || parts <= 4) {
+    *finite = run_plan(&plan, samples, dst);
+    return BTF_OK;
+  }
+  /* The outermost axis that gives every thread some parts keeps each thread's memory together. */
+  unpack_job job = {.plan = &plan, .samples = samples, .floats = dst};
+  job.split = plan.count - 1;
+  for (uint32_t k = plan.count; k-- > 0 && plan.axis[job.split].count < parts;)
+    if (plan.axis[k].count > plan.axis[job.split].count) job.split = k;
+  const size_t count = plan.axis[job.split].count;
+  job.step = (count + parts - 1) / parts;
+  if (job.step > 64) job.step = (job.step + 63) & ~(size_t)63;
+  atomic_init(&job.finite, true);
+  BTFI_TRY(btfi_parallel(ctx, (uint32_t)((count + job.step - 1) / job.step), unpack_part, &job));
+  *finite = atomic_load(&job.finite);
+  return BTF_OK;
+}
