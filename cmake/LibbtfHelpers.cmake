@@ -79,7 +79,10 @@ function(libbtf_finish_library)
   add_library(btf_shared SHARED ${objects})
   add_library(btf_static STATIC ${objects})
   set(map "${PROJECT_SOURCE_DIR}/lib/libbtf.map")
-  target_link_options(btf_shared PRIVATE "LINKER:--version-script=${map}" "LINKER:--no-undefined")
+  target_link_options(btf_shared PRIVATE "LINKER:--version-script=${map}")
+  if(NOT LIBBTF_SANITIZE) # clang leaves the sanitizer's runtime to the program
+    target_link_options(btf_shared PRIVATE "LINKER:--no-undefined")
+  endif()
   set_target_properties(btf_shared PROPERTIES LINK_DEPENDS "${map}" VERSION ${PROJECT_VERSION}
     SOVERSION ${LIBBTF_ABI} EXPORT_NAME btf_shared)
   set_target_properties(btf_static PROPERTIES EXPORT_NAME btf_static)
