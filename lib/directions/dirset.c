@@ -40,9 +40,6 @@ void btf_dirset_release(btf_dirset *set) {
   btf_context *ctx = set->ctx;
   btfi_free(ctx, set->nearby);
   btfi_free(ctx, set->cell);
-  btfi_free(ctx, set->rim_sample);
-  btfi_free(ctx, set->rim);
-  btfi_free(ctx, set->sliver_edge);
   btfi_free(ctx, set->triangle);
   btfi_free(ctx, set->facet);
   btfi_free(ctx, set->point);
@@ -142,7 +139,7 @@ btf_status btf_dirset_create(btf_context *ctx, const float *xyz, uint32_t count,
   if (!ctx) return btfi_fail(NULL, BTF_E_INVALID_ARG, "direction set: the context is NULL");
   if (!xyz || count == 0)
     return btfi_fail(ctx, BTF_E_INVALID_ARG, "direction set: no directions given, expected at least one");
-  const uint32_t most = BTFI_MIN(btfi_limits(ctx)->max_directions, BTFI_OUTSIDE / 8);
+  const uint32_t most = BTFI_MIN(btfi_limits(ctx)->max_directions, UINT32_MAX / 16);
   if (count > most)
     return btfi_fail(ctx, BTF_E_LIMIT, "direction set: %u directions, expected at most %u", count, most);
   btf_dirset *set = btfi_calloc(ctx, 1, sizeof *set);

@@ -19,39 +19,29 @@
 /* Four points this close to one circle are a tie (1e-6). */
 #define BTFI_TIE_UNITS 16.0
 
-/* A place in the triangulation: a triangle, or hull edge i as BTFI_OUTSIDE | i. */
-#define BTFI_OUTSIDE 0x80000000u
-
-/* One cache line. Corners in units; floats hold them exactly. */
+/* A piece of the plane: a triangle, a half-strip outside an edge of the hull, or the cone outside one of its
+ * vertices. Together they cover it. With p the point relative to the corner, b = p x (cx, cy) and c = (bx,
+ * by) x p are exact; the point lies within if b >= 0, c >= 0 and b b_scale + c c_scale <= 1, and then these
+ * are the weights of vertex[1] and vertex[2]. A scale of 0 makes a form a mere bound: strips interpolate
+ * along their edge, where the nearest point of the hull lies, and cones hold one vertex. One cache line. */
 typedef struct btfi_facet {
-  float x[3], y[3];
-  double area2, scale; /* twice the area, and its inverse */
+  float x, y; /* corner, units */
+  int32_t bx, by, cx, cy;
+  double b_scale, c_scale;
   uint32_t vertex[3];
-  uint32_t next[3]; /* place across the edge opposite to the corner */
+  uint32_t next[3]; /* facet to go on in when the weight of that vertex is negative */
 } btfi_facet;
-
-/* Edge from one hull vertex to the next, counter-clockwise. Its chain holds the samples that lie on it, both
- * ends included, by distance along it; outside the hull they interpolate linearly. */
-typedef struct btfi_rim_edge {
-  double x, y;   /* start, units */
-  double dx, dy; /* to the end */
-  double length2;
-  uint32_t inside; /* facet beside it */
-  uint32_t chain, chain_count;
-} btfi_rim_edge;
-typedef struct btfi_rim_sample {
-  double along; /* (sample - start) . d */
-  uint32_t vertex;
-} btfi_rim_sample;
 
 /* Cells over parabolic [-1, 1]^2: 64 x 64 at the root, each either a leaf or split 8 x 8. */
 #define BTFI_RASTER_ROOT 64
+#define BTFI_RASTER_SCALE                                                                                    \
+  31.999f /* cells per unit: a little less than 32, so that 1 plus rounding has a cell */
 #define BTFI_RASTER_SPLIT 8
 #define BTFI_RASTER_DEPTH 4
 #define BTFI_CELL_SPLIT 0x80000000u  /* ref: the rest is the number of the first child */
 #define BTFI_CELL_SINGLE 0x40000000u /* ref: the rest is the only sample that can be the nearest */
 typedef struct btfi_cell {
-  uint32_t place; /* where the centre of a leaf lies */
+  uint32_t facet; /* where the centre of a leaf lies */
   uint32_t ref;   /* or the start of its list in `nearby`: count, then samples by rising index */
 } btfi_cell;
 
@@ -62,15 +52,9 @@ struct btf_dirset {
   float *direction;    /* given */
   double (*unit)[3];   /* of length 1 to double precision */
   int32_t (*point)[2]; /* parabolic, units */
-  uint32_t *triangle;  /* vertices of the first triangle_count facets */
-  btfi_facet *facet;
-  uint32_t
-      triangle_count; /* facets from here on are slivers on the rim: they interpolate along their hull edge */
-  uint32_t facet_count;
-  uint32_t *sliver_edge; /* hull edge of facet triangle_count + i */
-  btfi_rim_edge *rim;    /* of a set on a line: one edge from end to end */
-  btfi_rim_sample *rim_sample;
-  uint32_t rim_count;
+  btfi_facet *facet;   /* triangles first */
+  uint32_t facet_count, triangle_count;
+  uint32_t *triangle; /* vertices of the triangles */
   btfi_cell *cell;
   uint32_t *nearby;
 };
@@ -102,27 +86,25 @@ static inline double btfi_to_units(float p) {
 
 /* The leaf of the raster that holds a parabolic point. */
 static inline const btfi_cell *btfi_raster_leaf(const btf_dirset *set, float px, float py) {
-  float x = (px + 1.0f) * (BTFI_RASTER_ROOT / 2), y = (py + 1.0f) * (BTFI_RASTER_ROOT / 2);
+  float x = (px + 1.0f) * BTFI_RASTER_SCALE, y = (py + 1.0f) * BTFI_RASTER_SCALE;
   int32_t column = (int32_t)x, row = (int32_t)y;
-  column = BTFI_MIN(column, BTFI_RASTER_ROOT - 1);
-  row = BTFI_MIN(row, BTFI_RASTER_ROOT - 1);
-  const btfi_cell *cell = set->cell + (BTFI_MAX(row, 0) * BTFI_RASTER_ROOT + BTFI_MAX(column, 0));
+  const btfi_cell *cell = set->cell + (row * BTFI_RASTER_ROOT + column);
   while (cell->ref & BTFI_CELL_SPLIT) {
     x = (x - (float)column) * BTFI_RASTER_SPLIT;
     y = (y - (float)row) * BTFI_RASTER_SPLIT;
-    column = BTFI_MAX(BTFI_MIN((int32_t)x, BTFI_RASTER_SPLIT - 1), 0);
-    row = BTFI_MAX(BTFI_MIN((int32_t)y, BTFI_RASTER_SPLIT - 1), 0);
+    column = (int32_t)x;
+    row = (int32_t)y;
     cell = set->cell + (cell->ref & ~BTFI_CELL_SPLIT) + (row * BTFI_RASTER_SPLIT + column);
   }
   return cell;
 }
 
-/* Builds facets, rim and raster from the points (facets.c, raster.c). What they allocated stays in the set,
- * which frees it also after a failure. */
+/* Build facets and raster from the points (facets.c, raster.c). What they allocated stays in the set, which
+ * frees it also after a failure. */
 btf_status btfi_dirset_build_facets(btf_dirset *set);
 btf_status btfi_dirset_build_raster(btf_dirset *set);
 
-/* Weights at a point in whole units, searched from a place; returns the place it was found at (locate.c). */
-uint32_t btfi_dirset_locate_from(const btf_dirset *set, uint32_t place, double x, double y, btf_interp *out);
+/* Weights at a point in whole units, searched from a facet on; returns the facet that holds it (locate.c). */
+uint32_t btfi_dirset_locate_from(const btf_dirset *set, uint32_t facet, double x, double y, btf_interp *out);
 
 #endif

@@ -94,15 +94,15 @@ static btf_status store_leaf(builder *b, uint32_t index, const uint32_t *list, u
 /* Fills a cell as a leaf, or puts it off if it is crowded. `from` must not lie in the lists of the same
  * level. */
 static btf_status fill_cell(builder *b, uint32_t index, const uint32_t *from, uint32_t n, double x, double y,
-                            double half, uint32_t place, int level) {
+                            double half, uint32_t facet, int level) {
   btf_dirset *set = b->set;
   growing *lists = &b->lists[level & 1], *pending = &b->pending[level & 1];
   btfi_cell *cell = (btfi_cell *)b->cells.data + index;
-  cell->place = place;
+  cell->facet = facet;
   cell->ref = BTFI_CELL_SINGLE;
   if (!is_reachable(x, y, half)) return BTF_OK;
   btf_interp unused;
-  cell->place = btfi_dirset_locate_from(set, place, rint(x * BTFI_UNITS), rint(y * BTFI_UNITS), &unused);
+  cell->facet = btfi_dirset_locate_from(set, facet, rint(x * BTFI_UNITS), rint(y * BTFI_UNITS), &unused);
   BTFI_TRY(reserve(set->ctx, lists, n, sizeof(uint32_t)));
   uint32_t *kept = (uint32_t *)lists->data + lists->used;
   const uint32_t count = candidates(set, from, n, x, y, half, kept);
@@ -123,17 +123,17 @@ static btf_status fill_cell(builder *b, uint32_t index, const uint32_t *from, ui
 static btf_status fill_root(builder *b, const uint32_t *all, uint32_t *coarse) {
   btf_dirset *set = b->set;
   const uint32_t n = BTFI_RASTER_ROOT, group = 8;
-  uint32_t place = 0;
+  const double half = 0.5 / BTFI_RASTER_SCALE;
+  uint32_t facet = 0;
   for (uint32_t row = 0; row < n; row += group) {
     for (uint32_t column = 0; column < n; column += group) {
-      const double half = (double)group / n, x = 2.0 * column / n - 1.0 + half,
-                   y = 2.0 * row / n - 1.0 + half;
-      const uint32_t kept = candidates(set, all, set->count, x, y, half, coarse);
+      const uint32_t kept = candidates(set, all, set->count, (2 * column + group) * half - 1.0,
+                                       (2 * row + group) * half - 1.0, group * half, coarse);
       for (uint32_t i = 0; i < group * group; i++) {
         const uint32_t c = column + i % group, r = row + i / group;
-        BTFI_TRY(fill_cell(b, r * n + c, coarse, kept, (2.0 * c + 1.0) / n - 1.0, (2.0 * r + 1.0) / n - 1.0,
-                           1.0 / n, place, 0));
-        place = ((btfi_cell *)b->cells.data)[r * n + c].place;
+        BTFI_TRY(fill_cell(b, r * n + c, coarse, kept, (2 * c + 1) * half - 1.0, (2 * r + 1) * half - 1.0,
+                           half, facet, 0));
+        facet = ((btfi_cell *)b->cells.data)[r * n + c].facet;
       }
     }
   }
@@ -146,13 +146,13 @@ static btf_status split_cell(builder *b, const pending_cell *p, int level) {
   BTFI_TRY(reserve(set->ctx, &b->cells, children, sizeof(btfi_cell)));
   const uint32_t first = (uint32_t)b->cells.used;
   b->cells.used += children;
-  uint32_t place = ((btfi_cell *)b->cells.data)[p->cell].place;
+  uint32_t facet = ((btfi_cell *)b->cells.data)[p->cell].facet;
   for (uint32_t i = 0; i < children; i++) {
     const double half = p->half / n;
     const double x = p->x - p->half + (2 * (i % n) + 1) * half, y = p->y - p->half + (2 * (i / n) + 1) * half;
     const uint32_t *list = (const uint32_t *)b->lists[level & 1].data + p->list;
-    BTFI_TRY(fill_cell(b, first + i, list, p->count, x, y, half, place, level + 1));
-    place = ((btfi_cell *)b->cells.data)[first + i].place;
+    BTFI_TRY(fill_cell(b, first + i, list, p->count, x, y, half, facet, level + 1));
+    facet = ((btfi_cell *)b->cells.data)[first + i].facet;
   }
   ((btfi_cell *)b->cells.data)[p->cell].ref = BTFI_CELL_SPLIT | first;
   return BTF_OK;
