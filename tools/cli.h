@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: MIT */
 /*
- * cli.h: what every subcommand of btf uses: its description, parsed arguments, failures, context and progress.
+ * cli.h: what every subcommand of btf uses: its description, parsed arguments, failures, context and
+ * progress.
  *
- * A function here that returns an exit status has already printed its one line when the status is not EXIT_DONE;
- * callers pass the status on.
+ * A function here that returns an exit status has already printed its one line when the status is not
+ * EXIT_DONE; callers pass the status on.
  */
 #ifndef BTF_TOOLS_CLI_H
 #define BTF_TOOLS_CLI_H
@@ -42,22 +43,25 @@ typedef struct cli_option {
   uint32_t flags;
 } cli_option;
 
-/* Entries of option tables that several commands share. --help, --quiet, --threads and --plugin belong to every
- * command and are not listed. */
-#define CLI_OPTION_OUTPUT(summary) {"output", 'o', "PATH", summary, CLI_OPTION_PATH | CLI_OPTION_UNRECORDED}
-#define CLI_OPTION_JSON {"json", 0, NULL, "print the result as JSON", CLI_OPTION_UNRECORDED}
-#define CLI_OPTIONS_END {NULL, 0, NULL, NULL, 0}
+/* Entries of option tables that several commands share. --help, --quiet, --threads and --plugin belong to
+ * every command and are not listed. */
+#define CLI_OPTION_OUTPUT(summary)                                                                           \
+  { "output", 'o', "PATH", summary, CLI_OPTION_PATH | CLI_OPTION_UNRECORDED }
+#define CLI_OPTION_JSON                                                                                      \
+  { "json", 0, NULL, "print the result as JSON", CLI_OPTION_UNRECORDED }
+#define CLI_OPTIONS_END                                                                                      \
+  { NULL, 0, NULL, NULL, 0 }
 
 typedef struct cli cli;
 
 typedef struct cli_command {
   const char *name;
-  const char *summary;          /* one line of `btf --help` */
-  const char *usage;            /* what follows `btf NAME`; several forms are separated by '\n' */
-  const char *details;          /* paragraphs printed after the options; may be NULL */
-  const cli_option *options;    /* ends with CLI_OPTIONS_END */
+  const char *summary;            /* one line of `btf --help` */
+  const char *usage;              /* what follows `btf NAME`; several forms are separated by '\n' */
+  const char *details;            /* paragraphs printed after the options; may be NULL */
+  const cli_option *options;      /* ends with CLI_OPTIONS_END */
   int operands_min, operands_max; /* -1 = any number */
-  int (*run)(cli *c);           /* returns the exit status */
+  int (*run)(cli *c);             /* returns the exit status */
 } cli_command;
 
 /* ---- parsed arguments ---- */
@@ -82,7 +86,9 @@ struct cli {
 int cli_count(const cli *c, const char *name);
 const char *cli_value_at(const cli *c, const char *name, int i);
 const char *cli_value(const cli *c, const char *name);
-static inline bool cli_has(const cli *c, const char *name) { return cli_count(c, name) > 0; }
+static inline bool cli_has(const cli *c, const char *name) {
+  return cli_count(c, name) > 0;
+}
 
 /* Typed values of an option. Not given: *out stays as it is. Out of range or not a number: EXIT_USAGE. */
 int cli_integer(const cli *c, const char *name, int64_t minimum, int64_t maximum, int64_t *out);
@@ -98,8 +104,8 @@ int cli_choice(const cli *c, const char *name, const char *const *choices, int *
 /* The value of an option that must be there. */
 int cli_required(const cli *c, const char *name, const char **out);
 
-/* The command as recorded in files: subcommand, operands by base name, options in the order of the table. No output
- * path, nothing that leaves the result alone. malloc'ed; NULL when out of memory. */
+/* The command as recorded in files: subcommand, operands by base name, options in the order of the table. No
+ * output path, nothing that leaves the result alone. malloc'ed; NULL when out of memory. */
 char *cli_recorded_command(const cli *c);
 
 /* The word of a NULL-terminated list that `given` is a likely misspelling of, or NULL. */
@@ -124,8 +130,8 @@ int cli_out_of_memory(void);
 /* A line on standard error unless --quiet. */
 void cli_note(const cli *c, const char *format, ...) LIBBTF_PRINTF(2, 3);
 
-/* Flushes standard output. EXIT_IO when it could not be written. A reader that closed the pipe ends the process quietly,
- * as it ends every filter. */
+/* Flushes standard output. EXIT_IO when it could not be written. A reader that closed the pipe ends the
+ * process quietly, as it ends every filter. */
 int cli_flush(void);
 
 /* ---- context, progress, interruption ---- */
@@ -133,15 +139,22 @@ int cli_flush(void);
 /* The context of the command with --threads and the plug-ins, made on first use and released by cli_run. */
 int cli_context(cli *c, btf_context **out);
 
-/* Fills a job whose progress draws the bar and whose return cancels after Ctrl-C. Other members are the caller's. */
+/* The failure of naming a codec that the context does not have, with the nearest one it has. */
+int cli_unknown_codec(const cli *c, const btf_context *ctx, const char *id);
+
+/* Sets the values of --param KEY=VALUE on the options of a codec. */
+int cli_codec_options(const cli *c, btf_options *options);
+
+/* Fills a job whose progress draws the bar and whose return cancels after Ctrl-C. Other members are the
+ * caller's. */
 void cli_job(cli *c, btf_job *job);
 /* For loops of the tool's own, from one thread: draws the bar; true = stop, the user interrupted. */
 bool cli_progress(cli *c, double fraction, const char *stage);
 /* Removes the bar from the terminal. */
 void cli_progress_done(cli *c);
 
-/* Between hold and release an interruption only sets a flag, so that half-made output can be removed; outside it ends
- * the process at once. Calls nest. */
+/* Between hold and release an interruption only sets a flag, so that half-made output can be removed; outside
+ * it ends the process at once. Calls nest. */
 void cli_hold_interrupts(void);
 void cli_release_interrupts(void);
 bool cli_interrupted(void);

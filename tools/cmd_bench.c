@@ -1,0 +1,381 @@
+/* SPDX-License-Identifier: MIT */
+/* cmd_bench.c: speed of encoding, loading and evaluation beside what the machine does at best. */
+#include <errno.h>
+#include <inttypes.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "bench_bounds.h"
+#include "bench_queries.h"
+#include "commands.h"
+#include "input.h"
+#include "json_writer.h"
+#include "parallel.h"
+
+typedef struct eval_mode {
+  const char *name;
+  int order;
+  bool batch, nearest, all_threads;
+} eval_mode;
+
+static const eval_mode modes[] = {
+    {"single coherent", BENCH_COHERENT, false, false, false},
+    {"single random", BENCH_RANDOM, false, false, false},
+    {"batch coherent", BENCH_COHERENT, true, false, false},
+    {"batch random", BENCH_RANDOM, true, false, false},
+    {"batch shared directions", BENCH_SHARED, true, false, false},
+    {"nearest single coherent", BENCH_COHERENT, false, true, false},
+    {"nearest batch coherent", BENCH_COHERENT, true, true, false},
+    {"nearest batch random", BENCH_RANDOM, true, true, false},
+    {"batch coherent, all threads", BENCH_COHERENT, true, false, true},
+    {"batch random, all threads", BENCH_RANDOM, true, false, true},
+};
+enum { mode_count = sizeof modes / sizeof *modes };
+
+/* What a query of a factored model costs: rows blended, values converted, operations, bytes. 0 = unknown. */
+typedef struct query_cost {
+  double values, flops, bytes;
+} query_cost;
+
+typedef struct bench {
+  const char *codec;
+  btf_model_info model;
+  double encode_seconds, raw_bytes, open_seconds, trusted_open_seconds;
+  double rates[mode_count]; /* queries a second */
+  query_cost costs[mode_count];
+  double value_bytes; /* of stored values; 0 = unknown */
+  bench_bounds bounds;
+} bench;
+
+/* ---- cost ---- */
+
+/* Bytes of a stored value, as the recorded command or the codec's default says. */
+static double stored_value_bytes(const btf_codec *codec, const char *command) {
+  char storage[16] = "";
+  const char *found = command != NULL ? strstr(command, "storage=") : NULL;
+  if (found != NULL) {
+    snprintf(storage, sizeof storage, "%.*s", (int)strcspn(found + 8, " '"), found + 8);
+  } else {
+    for (uint32_t i = 0; codec != NULL && i < btf_codec_param_count(codec); i++) {
+      btf_param_desc p = {0};
+      p.struct_size = sizeof p;
+      if (btf_codec_param(codec, i, &p) == BTF_OK && strcmp(p.name, "storage") == 0 && p.default_text != NULL)
+        snprintf(storage, sizeof storage, "%s", p.default_text);
+    }
+  }
+  if (strcmp(storage, "f32") == 0) return 4;
+  if (strcmp(storage, "f16") == 0 || strcmp(storage, "bf16") == 0) return 2;
+  if (strcmp(storage, "q8") == 0 || strcmp(storage, "u8") == 0 || strcmp(storage, "8bit") == 0) return 1;
+  return 0;
+}
+
+/* A linear codec of one factor for directions and one for texels keeps a row for each pair of directions and
+ * channel and one for each texel of each level: their mean size follows from the memory it may touch. */
+static query_cost cost_of(const bench *b, const eval_mode *mode) {
+  const btf_model_info *m = &b->model;
+  query_cost cost = {0, 0, 0};
+  double texels = 0, row_bytes, direction_rows, texel_rows;
+  if (!(m->caps & BTF_CAP_LINEAR) || m->resident_bytes == 0 || b->value_bytes == 0) return cost;
+  for (uint32_t level = 0; level < m->levels; level++)
+    texels += fmax(1, m->width >> level) * fmax(1, m->height >> level);
+  row_bytes = (double)m->resident_bytes /
+              ((double)btf_dirset_count(m->lights) * btf_dirset_count(m->views) * m->channels + texels);
+  direction_rows = mode->order == BENCH_SHARED ? 0 : (mode->nearest ? 1 : 9) * (double)m->channels;
+  texel_rows = mode->nearest ? 1 : 4;
+  cost.bytes = (direction_rows + texel_rows) * row_bytes;
+  cost.values = cost.bytes / b->value_bytes;
+  /* A multiply-add for each value blended, and one for each component and channel of the product. */
+  cost.flops = 2 * (cost.values + m->channels * row_bytes / b->value_bytes);
+  return cost;
+}
+
+/* ---- measuring ---- */
+
+typedef struct shared_run {
+  const bench_queries *queries; /* one for each thread: they hold the results */
+  const btf_model *model;
+  uint32_t flags;
+} shared_run;
+
+static bool run_share(void *user, uint64_t index, uint32_t thread) {
+  const shared_run *r = user;
+  (void)index;
+  bench_queries_batch(&r->queries[thread], r->model, r->flags);
+  return true;
+}
+
+/* Repeats one mode for about `seconds`; the rate of the best repetition. */
+static double time_mode(const cli *c, const eval_mode *mode, const bench_queries *queries,
+                        const btf_model *model, double seconds) {
+  const uint32_t flags = mode->nearest ? BTF_QUERY_NEAREST : 0;
+  const double until = cli_seconds() + seconds;
+  double best = 0;
+  do {
+    const double started = cli_seconds();
+    double elapsed, done = BENCH_QUERIES;
+    if (mode->all_threads) {
+      shared_run r = {queries, model, flags};
+      const uint64_t shares = 8 * (uint64_t)c->threads;
+      parallel_for(c->threads, shares, run_share, &r);
+      done *= (double)shares;
+    } else if (mode->batch) {
+      bench_queries_batch(queries, model, flags);
+    } else {
+      bench_queries_single(queries, model, flags);
+    }
+    elapsed = cli_seconds() - started;
+    if (elapsed > 0 && done / elapsed > best) best = done / elapsed;
+  } while (cli_seconds() < until);
+  return best;
+}
+
+/* Bounds and modes take turns, so that a busy moment of the machine falls on all alike. */
+static int measure_evaluation(cli *c, bench *b, const btf_model *model, double seconds) {
+  enum { rounds = 5 };
+  const uint32_t sets = c->threads > 0 ? c->threads : 1;
+  bench_queries *queries = calloc((size_t)sets * BENCH_ORDERS, sizeof *queries);
+  bench_buffers buffers = {0};
+  int failed = queries != NULL ? bench_buffers_create(&buffers) : cli_out_of_memory();
+  for (int order = 0; order < BENCH_ORDERS && !failed; order++)
+    for (uint32_t t = 0; t < sets && !failed; t++)
+      if (!bench_queries_create(order, &b->model, &queries[(uint32_t)order * sets + t]))
+        failed = cli_out_of_memory();
+  for (int round = 0; round < rounds && !failed; round++) {
+    bench_bounds_measure(&buffers, &b->bounds);
+    for (int i = 0; i < mode_count && !failed; i++) {
+      const bench_queries *q = &queries[(uint32_t)modes[i].order * sets];
+      const double rate = time_mode(c, &modes[i], q, model, seconds / (rounds * mode_count));
+      if (rate > b->rates[i]) b->rates[i] = rate;
+      if (cli_progress(c, (double)(round * mode_count + i) / (rounds * mode_count), "evaluating"))
+        failed = cli_fail_interrupted();
+    }
+  }
+  for (uint32_t i = 0; queries != NULL && i < sets * BENCH_ORDERS; i++) bench_queries_free(&queries[i]);
+  free(queries);
+  bench_buffers_free(&buffers);
+  for (int i = 0; i < mode_count; i++) b->costs[i] = cost_of(b, &modes[i]);
+  return failed;
+}
+
+/* Opening, loading and the first query; the least of five. */
+static int measure_open(cli *c, const char *path, uint32_t flags, double *seconds) {
+  btf_context *ctx;
+  int failed = cli_context(c, &ctx);
+  *seconds = INFINITY;
+  for (int i = 0; i < 5 && !failed; i++) {
+    const double started = cli_seconds();
+    const btf_query query = {{0, 0, 1}, {0, 0, 1}, {0.5f, 0.5f}, 0, 0};
+    float result[64];
+    btf_file *file = NULL;
+    btf_model *model = NULL;
+    btf_status status = btf_file_open_path(ctx, path, flags, &file);
+    if (status == BTF_OK) status = btf_file_load_model(file, 0, &model);
+    if (status == BTF_OK) btf_model_eval(model, &query, result);
+    if (status != BTF_OK) failed = cli_fail_library(status);
+    if (cli_seconds() - started < *seconds) *seconds = cli_seconds() - started;
+    btf_model_release(model);
+    btf_file_close(file);
+  }
+  return failed;
+}
+
+/* ---- report ---- */
+
+/* Queries a second at a bound, 0 = unknown. */
+static double conversion_bound(const bench *b, int mode) {
+  const double rate = b->value_bytes == 2 ? b->bounds.half_values : b->bounds.float_values;
+  return b->costs[mode].values > 0 ? rate / b->costs[mode].values : 0;
+}
+static double flop_bound(const bench *b, int mode) {
+  return b->costs[mode].flops > 0 ? b->bounds.flops / b->costs[mode].flops : 0;
+}
+static double bandwidth_bound(const bench *b, int mode) {
+  const double rate = modes[mode].order == BENCH_RANDOM ? b->bounds.memory_bytes : b->bounds.cache_bytes;
+  return b->costs[mode].bytes > 0 ? rate / b->costs[mode].bytes : 0;
+}
+
+static void print_report(const cli *c, const bench *b) {
+  const bench_bounds *k = &b->bounds;
+  printf("%s: %s, %" PRIu32 " x %" PRIu32 " texels, %" PRIu32 " lights, %" PRIu32 " views, %" PRIu32
+         " channels, %.1f MiB resident\n",
+         c->operands[0], b->codec, b->model.width, b->model.height, btf_dirset_count(b->model.lights),
+         btf_dirset_count(b->model.views), b->model.channels, (double)b->model.resident_bytes / 1048576);
+  printf("machine, one core (%s; the library uses %s)\n", bench_bounds_isa(), btf_context_isa(c->context));
+  printf("  multiply-add            %8.1f GFLOP/s\n", k->flops * 1e-9);
+  printf("  halves to floats        %8.1f Gvalues/s\n", k->half_values * 1e-9);
+  printf("  floats                  %8.1f Gvalues/s\n", k->float_values * 1e-9);
+  printf("  cache read (256 KiB)    %8.1f GB/s\n", k->cache_bytes * 1e-9);
+  printf("  memory read             %8.1f GB/s\n", k->memory_bytes * 1e-9);
+  if (b->encode_seconds > 0)
+    printf("encode                    %8.2f s, %.1f MB/s of raw samples, %" PRIu32 " threads\n",
+           b->encode_seconds, b->raw_bytes * 1e-6 / b->encode_seconds, c->threads);
+  printf("open and first query      %8.3f ms, %.3f ms without checksums of mapped chunks\n",
+         1e3 * b->open_seconds, 1e3 * b->trusted_open_seconds);
+  printf("evaluation, one core        million queries/s   bounds: conversion   multiply-add   bandwidth\n");
+  for (int i = 0; i < mode_count; i++) {
+    printf("  %-27s %14.3f", modes[i].name, b->rates[i] * 1e-6);
+    if (modes[i].all_threads)
+      printf("      (%" PRIu32 " threads)", c->threads);
+    else if (b->costs[i].values > 0)
+      printf("   %26.2f %14.2f %11.2f", 1e-6 * conversion_bound(b, i), 1e-6 * flop_bound(b, i),
+             1e-6 * bandwidth_bound(b, i));
+    putchar('\n');
+  }
+}
+
+static void write_report(const cli *c, const bench *b) {
+  json_writer j;
+  json_begin(&j, stdout);
+  json_object(&j, NULL);
+  json_string(&j, "file", c->operands[0]);
+  json_string(&j, "codec", b->codec);
+  json_integer(&j, "threads", c->threads);
+  json_string(&j, "isa", btf_context_isa(c->context));
+  json_integer(&j, "resident_bytes", b->model.resident_bytes);
+  json_object(&j, "bounds");
+  json_string(&j, "isa", bench_bounds_isa());
+  json_number(&j, "flops", b->bounds.flops);
+  json_number(&j, "half_values", b->bounds.half_values);
+  json_number(&j, "float_values", b->bounds.float_values);
+  json_number(&j, "cache_bytes", b->bounds.cache_bytes);
+  json_number(&j, "memory_bytes", b->bounds.memory_bytes);
+  json_close(&j, '}');
+  json_number(&j, "encode_seconds", b->encode_seconds > 0 ? b->encode_seconds : NAN);
+  json_number(&j, "encode_raw_bytes_per_second",
+              b->encode_seconds > 0 ? b->raw_bytes / b->encode_seconds : NAN);
+  json_number(&j, "open_seconds", b->open_seconds);
+  json_number(&j, "trusted_open_seconds", b->trusted_open_seconds);
+  json_array(&j, "evaluation");
+  for (int i = 0; i < mode_count; i++) {
+    const bool known = b->costs[i].values > 0 && !modes[i].all_threads;
+    json_object(&j, NULL);
+    json_string(&j, "mode", modes[i].name);
+    json_integer(&j, "threads", modes[i].all_threads ? c->threads : 1);
+    json_number(&j, "queries_per_second", b->rates[i]);
+    json_number(&j, "conversion_bound", known ? conversion_bound(b, i) : NAN);
+    json_number(&j, "multiply_add_bound", known ? flop_bound(b, i) : NAN);
+    json_number(&j, "bandwidth_bound", known ? bandwidth_bound(b, i) : NAN);
+    json_close(&j, '}');
+  }
+  json_close(&j, ']');
+  json_close(&j, '}');
+  json_end(&j);
+}
+
+/* ---- the command ---- */
+
+static int bench_file(cli *c, bench *b, const char *path, double seconds) {
+  input in = {0};
+  int failed = input_open_model(c, path, &in);
+  if (failed) return failed;
+  btf_model_describe(in.model, &b->model);
+  b->codec = btf_file_model_codec(in.file, 0);
+  b->value_bytes =
+      stored_value_bytes(btf_codec_find(c->context, b->codec), btf_file_metadata(in.file, "btf.command"));
+  failed = measure_open(c, path, 0, &b->open_seconds);
+  if (!failed) failed = measure_open(c, path, BTF_OPEN_TRUST, &b->trusted_open_seconds);
+  if (!failed) failed = measure_evaluation(c, b, in.model, seconds);
+  cli_progress_done(c);
+  if (!failed && cli_has(c, "json"))
+    write_report(c, b);
+  else if (!failed)
+    print_report(c, b);
+  input_close(&in);
+  return failed;
+}
+
+static int encode_to(cli *c, bench *b, const btf_dataset *dataset, const char *path) {
+  const char *codec_id = cli_has(c, "codec") ? cli_value(c, "codec") : "fmf";
+  const btf_codec *codec = btf_codec_find(c->context, codec_id);
+  btf_options *options = NULL;
+  btf_model *model = NULL;
+  btf_job job = BTF_JOB_INIT;
+  char *command;
+  double started;
+  btf_status status;
+  int failed;
+  if (codec == NULL) return cli_unknown_codec(c, c->context, codec_id);
+  status = btf_options_create(codec, &options);
+  if (status != BTF_OK) return cli_fail_library(status);
+  failed = cli_codec_options(c, options);
+  if (failed) {
+    btf_options_release(options);
+    return failed;
+  }
+  command = cli_recorded_command(c);
+  cli_job(c, &job);
+  started = cli_seconds();
+  status = btf_model_fit(dataset, codec, options, &job, &model);
+  if (status == BTF_OK) status = btf_model_save(model, path, 0, command, &job);
+  b->encode_seconds = cli_seconds() - started;
+  cli_progress_done(c);
+  btf_model_release(model);
+  btf_options_release(options);
+  free(command);
+  return status == BTF_OK ? EXIT_DONE : cli_fail_library(status);
+}
+
+/* A data set is encoded to a file of its own first, which goes at the end. */
+static int bench_dataset(cli *c, bench *b, const btf_dataset *dataset, double seconds) {
+  const char *folder = secure_getenv("TMPDIR");
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  char path[4096];
+  int descriptor, failed;
+  btf_dataset_describe(dataset, &d);
+  b->raw_bytes = (double)input_value_count(btf_dirset_count(d.views), btf_dirset_count(d.lights), d.width,
+                                           d.height, d.channels) *
+                 input_sample_size(d.sample_type);
+  snprintf(path, sizeof path, "%s/btf-bench-XXXXXX", folder != NULL && folder[0] != '\0' ? folder : "/tmp");
+  cli_hold_interrupts();
+  descriptor = mkstemp(path);
+  if (descriptor < 0) {
+    cli_release_interrupts();
+    return cli_fail(EXIT_IO, "%s: could not be created: %s", path, strerror(errno));
+  }
+  close(descriptor);
+  failed = encode_to(c, b, dataset, path);
+  if (!failed) failed = bench_file(c, b, path, seconds);
+  unlink(path);
+  cli_release_interrupts();
+  return failed;
+}
+
+static int run(cli *c) {
+  input in = {0};
+  bench b = {0};
+  double seconds = 10;
+  int failed = cli_number(c, "seconds", 0.01, 3600, &seconds);
+  if (!failed) failed = input_open(c, c->operands[0], &in);
+  if (failed) return failed;
+  b.model.struct_size = sizeof b.model;
+  if (in.dataset != NULL)
+    failed = bench_dataset(c, &b, in.dataset, seconds);
+  else
+    failed = bench_file(c, &b, c->operands[0], seconds);
+  input_close(&in);
+  return failed;
+}
+
+static const cli_option options_table[] = {
+    {"codec", 'c', "NAME", "codec to encode a data set with (default fmf)", 0},
+    {"param", 'p', "KEY=VALUE", "set a parameter of the codec; may be repeated", 0},
+    {"seconds", 0, "S", "time for evaluation in all (default 10)", CLI_OPTION_UNRECORDED},
+    CLI_OPTION_JSON,
+    CLI_OPTIONS_END};
+
+const cli_command cmd_bench = {"bench",
+                               "measures speed beside the bounds of this machine",
+                               "FILE [options]",
+                               "Of a data-set folder: encodes it (in TMPDIR), opens the result and evaluates "
+                               "it. Of a container: opens and evaluates.\n"
+                               "Evaluation is timed for neighbouring pixels, for random queries and for one "
+                               "pair of directions; the bounds are what\n"
+                               "the values, operations and bytes of a query would take at the rates measured "
+                               "beside it. Bounds are printed for\n"
+                               "linear codecs, from the memory that the model may touch.",
+                               options_table,
+                               1,
+                               1,
+                               run};

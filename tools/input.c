@@ -1,0 +1,105 @@
+/* SPDX-License-Identifier: MIT */
+#include "input.h"
+
+#include <dirent.h>
+#include <errno.h>
+#include <string.h>
+#include <sys/stat.h>
+
+uint64_t input_bytes_on_disk(const char *path) {
+  struct stat info;
+  uint64_t total = 0;
+  DIR *folder;
+  if (stat(path, &info) != 0) return 0;
+  if (!S_ISDIR(info.st_mode)) return (uint64_t)info.st_size;
+  folder = opendir(path);
+  if (folder == NULL) return 0;
+  for (struct dirent *entry; (entry = readdir(folder)) != NULL;)
+    if (fstatat(dirfd(folder), entry->d_name, &info, 0) == 0 && S_ISREG(info.st_mode))
+      total += (uint64_t)info.st_size;
+  closedir(folder);
+  return total;
+}
+
+int input_open(cli *c, const char *path, input *out) {
+  btf_context *ctx;
+  struct stat info;
+  btf_status status;
+  int failed;
+  memset(out, 0, sizeof *out);
+  failed = cli_context(c, &ctx);
+  if (failed) return failed;
+  if (stat(path, &info) != 0) return cli_fail(EXIT_IO, "%s: could not be opened: %s", path, strerror(errno));
+  out->path = path;
+  if (S_ISDIR(info.st_mode))
+    status = btf_dataset_open(ctx, path, &out->dataset);
+  else
+    status = btf_file_open_path(ctx, path, 0, &out->file);
+  if (status != BTF_OK) {
+    failed = cli_fail_library(status);
+    input_close(out);
+    return failed;
+  }
+  out->bytes = input_bytes_on_disk(path);
+  return EXIT_DONE;
+}
+
+int input_load(input *in) {
+  btf_status status;
+  if (in->model != NULL) return EXIT_DONE;
+  if (in->file == NULL) {
+    status = btf_model_from_dataset(in->dataset, NULL, &in->model);
+  } else {
+    if (btf_file_model_count(in->file) == 0) return cli_fail(EXIT_MALFORMED, "%s: holds no model", in->path);
+    status = btf_file_load_model(in->file, 0, &in->model);
+  }
+  return status == BTF_OK ? EXIT_DONE : cli_fail_library(status);
+}
+
+int input_open_model(cli *c, const char *path, input *out) {
+  int failed = input_open(c, path, out);
+  if (failed) return failed;
+  failed = input_load(out);
+  if (failed) input_close(out);
+  return failed;
+}
+
+void input_close(input *in) {
+  btf_model_release(in->model);
+  btf_file_close(in->file);
+  btf_dataset_release(in->dataset);
+  memset(in, 0, sizeof *in);
+}
+
+const char *input_sample_type(uint32_t sample_type) {
+  switch (sample_type) {
+  case BTF_SAMPLE_U8:
+    return "u8";
+  case BTF_SAMPLE_U16:
+    return "u16";
+  case BTF_SAMPLE_F16:
+    return "f16";
+  default:
+    return "f32";
+  }
+}
+
+uint32_t input_sample_size(uint32_t sample_type) {
+  return sample_type == BTF_SAMPLE_U8 ? 1 : sample_type == BTF_SAMPLE_F32 ? 4 : 2;
+}
+
+const char *input_quantity(uint32_t quantity) {
+  return quantity == BTF_QUANTITY_BRDF_COS ? "brdf_cos" : "brdf";
+}
+const char *input_scale(uint32_t scale) {
+  return scale == BTF_SCALE_ABSOLUTE ? "absolute" : "relative";
+}
+
+uint64_t input_value_count(uint32_t views, uint32_t lights, uint32_t width, uint32_t height,
+                           uint32_t channels) {
+  const uint32_t factors[] = {views, lights, width, height, channels};
+  uint64_t product = 1;
+  for (int i = 0; i < 5; i++)
+    if (__builtin_mul_overflow(product, (uint64_t)factors[i], &product)) return 0;
+  return product;
+}

@@ -1,0 +1,36 @@
+/* SPDX-License-Identifier: MIT */
+/* input.h: what a command reads: a data-set folder or a container file. */
+#ifndef BTF_TOOLS_INPUT_H
+#define BTF_TOOLS_INPUT_H
+
+#include "cli.h"
+
+typedef struct input {
+  const char *path;
+  btf_dataset *dataset; /* a folder; otherwise NULL */
+  btf_file *file;       /* a container; otherwise NULL */
+  btf_model *model;     /* after input_load */
+  uint64_t bytes;       /* on disk */
+} input;
+
+/* Opens by what the path is: a folder as a data set, anything else as a container. Zeroed on failure. */
+int input_open(cli *c, const char *path, input *out);
+/* Makes the model: the first of a container, or the data set as it stands. */
+int input_load(input *in);
+/* Both. */
+int input_open_model(cli *c, const char *path, input *out);
+void input_close(input *in);
+
+/* Words for codes. */
+const char *input_sample_type(uint32_t sample_type); /* "f16" */
+uint32_t input_sample_size(uint32_t sample_type);
+const char *input_quantity(uint32_t quantity);
+const char *input_scale(uint32_t scale);
+
+/* Samples of a model or data set times channels, 0 on overflow. */
+uint64_t input_value_count(uint32_t views, uint32_t lights, uint32_t width, uint32_t height,
+                           uint32_t channels);
+/* Size of a file, or of a data-set folder with its manifest and samples; 0 if unknown. */
+uint64_t input_bytes_on_disk(const char *path);
+
+#endif
