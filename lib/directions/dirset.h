@@ -67,12 +67,16 @@ typedef struct btfi_parabolic {
 /* The rare directions: not finite (false), zero or straight down (as +x), far from unit length. */
 bool btfi_parabolic_unusual(float x, float y, float z, btfi_parabolic *out);
 
+/* Finite, not zero, and of a length whose square is a float. */
+static inline int btfi_parabolic_is_usual(float x, float y, float z) {
+  const float up = z < 0.0f ? 0.0f : z, length2 = x * x + y * y + up * up;
+  return (length2 > 1e-20f) & (length2 < 1e20f) & (z > -1e10f);
+}
+
 /* False when the direction is not finite. Exactly the same for samples and for queries. */
 static inline bool btfi_parabolic_of(float x, float y, float z, btfi_parabolic *out) {
-  const float up = z < 0.0f ? 0.0f : z;
-  const float length2 = x * x + y * y + up * up;
-  if (!(length2 > 1e-20f && length2 < 1e20f && z > -1e10f)) return btfi_parabolic_unusual(x, y, z, out);
-  const float scale = 1.0f / (sqrtf(length2) + up);
+  if (__builtin_expect(!btfi_parabolic_is_usual(x, y, z), 0)) return btfi_parabolic_unusual(x, y, z, out);
+  const float up = z < 0.0f ? 0.0f : z, scale = 1.0f / (sqrtf(x * x + y * y + up * up) + up);
   out->px = x * scale;
   out->py = y * scale;
   return true;
