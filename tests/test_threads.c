@@ -93,6 +93,68 @@ static void tasks_run_at_the_same_time(void **state) {
   test_context_done(ctx, &memory);
 }
 
+static void linger(void *job, uint32_t index, uint32_t thread) {
+  tally *t = job;
+  if (thread >= t->thread_limit || atomic_fetch_add(&t->running[thread], 1) != 0)
+    atomic_fetch_add(&t->faults, 1);
+  nanosleep(&(struct timespec){0, thread == 0 ? 500000 : 4000000}, NULL);
+  atomic_fetch_add(&t->runs[index], 1);
+  atomic_fetch_sub(&t->running[thread % most_threads], 1);
+}
+
+static void the_call_returns_when_all_tasks_are_done(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = test_context_with(&memory, NULL, 4);
+  for (int repeat = 0; repeat < 30; repeat++) { /* the caller, on thread 0, is mostly done first */
+    tally t;
+    tally_begin(&t, ctx);
+    assert_ok(btfi_parallel(ctx, 16, linger, &t));
+    expect_each_once(&t, 16);
+  }
+  test_context_done(ctx, &memory);
+}
+
+/* Two of these run at once and share `inner`, so their inner tasks must be given different threads. */
+typedef struct nesting {
+  tally outer, inner;
+  btf_context *inner_context;
+  pthread_t first_thread[most_indices];
+} nesting;
+
+static void nest_inner(void *job, uint32_t index, uint32_t thread) {
+  nesting *n = job;
+  (void)index;
+  linger(&n->inner, 0, thread);
+  if (!pthread_equal(pthread_self(), n->first_thread[thread])) atomic_fetch_add(&n->inner.faults, 1);
+}
+static void nest_shared(void *job, uint32_t index, uint32_t thread) {
+  nesting *n = job;
+  n->first_thread[thread] = pthread_self();
+  if (btfi_parallel(n->inner_context, 2, nest_inner, n) != BTF_OK) atomic_fetch_add(&n->outer.faults, 1);
+  count_index(&n->outer, index, thread);
+}
+
+static void inner_tasks_stay_on_their_thread(void **state) {
+  (void)state;
+  test_memory memory, other_memory;
+  btf_context *ctx = test_context_with(&memory, NULL, 4);
+  btf_context *other = test_context_with(&other_memory, NULL, 4);
+  for (int foreign = 0; foreign < 2; foreign++) {
+    nesting *n = calloc(1, sizeof *n);
+    tally_begin(&n->outer, ctx);
+    tally_begin(&n->inner, ctx);
+    n->inner_context = foreign ? other : ctx;
+    assert_ok(btfi_parallel(ctx, 40, nest_shared, n));
+    expect_each_once(&n->outer, 40);
+    assert_int_equal(atomic_load(&n->inner.faults), 0);
+    assert_int_equal(atomic_load(&n->inner.runs[0]), 80);
+    free(n);
+  }
+  test_context_done(ctx, &memory);
+  test_context_done(other, &other_memory);
+}
+
 static void nest(void *job, uint32_t index, uint32_t thread) {
   tally *outer = job;
   tally *inner = malloc(sizeof *inner);
@@ -101,9 +163,6 @@ static void nest(void *job, uint32_t index, uint32_t thread) {
   for (int i = 0; i < 50; i++)
     if (atomic_load(&inner->runs[i]) != 1) atomic_fetch_add(&outer->faults, 1);
   atomic_fetch_add(&outer->faults, atomic_load(&inner->faults));
-  /* All tasks share the outer job here: their threads must still be different ones. */
-  if (btfi_parallel(outer->ctx, 1, count_index, outer) != BTF_OK) atomic_fetch_add(&outer->faults, 1);
-  atomic_fetch_sub(&outer->runs[0], 1);
   free(inner);
   count_index(job, index, thread);
 }
@@ -255,6 +314,8 @@ int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(every_index_runs_exactly_once),
       cmocka_unit_test(tasks_run_at_the_same_time),
+      cmocka_unit_test(the_call_returns_when_all_tasks_are_done),
+      cmocka_unit_test(inner_tasks_stay_on_their_thread),
       cmocka_unit_test(a_loop_inside_a_task_runs_serially),
       cmocka_unit_test(several_callers_do_not_wait_for_each_other),
       cmocka_unit_test(missing_threads_are_done_without),

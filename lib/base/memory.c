@@ -55,7 +55,6 @@ void *btfi_alloc(btf_context *ctx, uint64_t count, uint64_t size) {
     return NULL;
   }
   total &= ~(uint64_t)63;
-  if (total == prefix_size) total += 64;
   if (!reserve_memory(ctx, total)) {
     last_alloc_status = btfi_fail(
         ctx, BTF_E_LIMIT,
