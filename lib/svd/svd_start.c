@@ -1,0 +1,154 @@
+/* SPDX-License-Identifier: MIT */
+/* svd_start.c: a first basis from a sample of the items. */
+#include <cblas.h>
+#include <math.h>
+#include <string.h>
+
+#include "svd/svd_state.h"
+
+enum { SAMPLE_ROUNDS = 8, PROBES = 96 };
+
+static uint64_t sample_block(const svd_state *s, uint64_t b) {
+  return s->plan.held ? b * s->plan.block_count / s->plan.sample_blocks : b;
+}
+
+/* Blocks of a sample are full but for the last one of a held matrix. */
+static uint64_t sample_block_size(const svd_state *s, uint64_t b) {
+  return s->plan.held ? btfi_svd_block_size(s, sample_block(s, b)) : s->plan.block_items;
+}
+
+static const float *sample_data(const svd_state *s, uint64_t b) {
+  return s->blocks + sample_block(s, b) * s->plan.block_floats;
+}
+
+static void random_panel(svd_state *s, float *panel) {
+  const size_t width = s->plan.width, used = (size_t)s->desc->length * width;
+  for (size_t k = 0; k < used; k++) panel[k] = btfi_random_normal(&s->random);
+  memset(panel + used, 0, (s->plan.length_padded * width - used) * sizeof(float));
+}
+
+bool btfi_svd_set_direction(svd_state *s, float *direction, uint32_t slot) {
+  const int width = (int)s->plan.width, length = (int)s->plan.length_padded;
+  float *along = (float *)s->rows;
+  for (int j = 0; j < length; j++) s->basis[(size_t)j * s->plan.width + slot] = 0;
+  for (int round = 0; round < 2; round++) {
+    const double norm = sqrt(cblas_dsdot(length, direction, 1, direction, 1));
+    if (!(norm > 0) || !isfinite(norm)) return false;
+    cblas_sscal(length, (float)(1 / norm), direction, 1);
+    cblas_sgemv(CblasRowMajor, CblasTrans, length, width, 1, s->basis, width, direction, 1, 0, along, 1);
+    cblas_sgemv(CblasRowMajor, CblasNoTrans, length, width, -1, s->basis, width, along, 1, 1, direction, 1);
+  }
+  const double norm = sqrt(cblas_dsdot(length, direction, 1, direction, 1));
+  /* Of what the second round left next to nothing of, the rest is rounding. */
+  if (!(norm > 0.1)) return false;
+  for (int j = 0; j < length; j++) s->basis[(size_t)j * s->plan.width + slot] = (float)(direction[j] / norm);
+  return true;
+}
+
+/* One step of subspace iteration within the sample, orthonormal after each half. */
+static btf_status sample_round(svd_state *s, double *energy) {
+  const svd_plan *plan = &s->plan;
+  uint64_t rows = 0;
+  uint32_t kept;
+  *energy = 0;
+  btfi_panel_pack(s->ctx, s->basis, plan->length_padded, plan->width, s->packed_basis);
+  for (uint64_t b = 0; b < plan->sample_blocks; b++) {
+    const uint64_t items = sample_block_size(s, b);
+    const btfi_slab slab = btfi_svd_slab(s, sample_data(s, b), items);
+    BTFI_TRY(btfi_slab_project(s->ctx, &slab, s->packed_basis, plan->width,
+                               s->projection + rows * plan->width, s->norms));
+    for (uint64_t i = 0; i < items; i++) *energy += s->norms[i];
+    rows += items;
+  }
+  BTFI_TRY(btfi_svd_orthonormalise(s, s->projection, (size_t)rows, &kept));
+  memset(s->image, 0, plan->length_padded * plan->width * sizeof(float));
+  rows = 0;
+  for (uint64_t b = 0; b < plan->sample_blocks; b++) {
+    const uint64_t items = sample_block_size(s, b);
+    const btfi_slab slab = btfi_svd_slab(s, sample_data(s, b), items);
+    btfi_svd_pack_projection(s, rows, items, &slab);
+    BTFI_TRY(btfi_slab_accumulate(s->ctx, &slab, s->packed_projection, plan->width, s->image));
+    rows += items;
+  }
+  BTFI_TRY(btfi_svd_ritz(s, (size_t)rows));
+  return btfi_svd_next_basis(s);
+}
+
+/* The squared singular values beyond the basis, averaged with themselves as weights: among residuals r of
+ * items, E (r_a . r_b)^2 = sum lambda^2 / items^2 and E |r|^2 = sum lambda / items. */
+static double tail_value(svd_state *s) {
+  const svd_plan *plan = &s->plan;
+  const size_t length = plan->length_padded;
+  uint64_t items = 0;
+  for (uint64_t b = 0; b < plan->sample_blocks; b++) items += sample_block_size(s, b);
+  const size_t room = plan->block_floats / length;
+  const size_t probes =
+      (size_t)BTFI_MIN(BTFI_MIN((uint64_t)PROBES, items / 4), BTFI_MIN(room, plan->block_items));
+  if (probes < 8) return -1;
+
+  float *residuals = s->window, *products = s->packed_projection, *squares = (float *)s->rows;
+  for (size_t p = 0; p < probes; p++) {
+    uint64_t item = items * p / probes, block = 0;
+    while (item >= sample_block_size(s, block)) item -= sample_block_size(s, block++);
+    const btfi_slab slab = btfi_svd_slab(s, sample_data(s, block), sample_block_size(s, block));
+    for (size_t j = 0; j < length; j++)
+      residuals[p * length + j] = slab.data[item * slab.item_step + j * slab.element_step];
+  }
+  const int n = (int)probes, columns = (int)length, width = (int)plan->width;
+  cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, n, width, columns, 1, residuals, columns, s->basis,
+              width, 0, products, width);
+  cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, n, columns, width, -1, products, width, s->basis,
+              width, 1, residuals, columns);
+  cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, n, n, columns, 1, residuals, columns, residuals,
+              columns, 0, squares, n);
+  double diagonal = 0, others = 0;
+  for (size_t a = 0; a < probes; a++) {
+    diagonal += squares[a * probes + a];
+    for (size_t b = 0; b < a; b++) others += (double)squares[a * probes + b] * squares[a * probes + b];
+  }
+  diagonal /= (double)probes;
+  others /= 0.5 * (double)probes * (double)(probes - 1);
+  return diagonal > 0 ? (double)s->desc->items * others / diagonal : 0;
+}
+
+btf_status btfi_svd_start(svd_state *s, double *tail) {
+  const svd_plan *plan = &s->plan;
+  const uint64_t smaller = BTFI_MIN(s->desc->items, s->desc->length);
+  uint32_t kept;
+  *tail = -1;
+  s->kept_energy = 0;
+  s->mean_rest = 0;
+  random_panel(s, s->basis);
+  if (plan->sample_blocks == 0) return btfi_svd_orthonormalise(s, s->basis, plan->length_padded, &kept);
+
+  double captured_before = 0, energy = 0, captured = 0;
+  uint64_t items = 0;
+  for (uint64_t b = 0; b < plan->sample_blocks; b++) items += sample_block_size(s, b);
+  for (int round = 0; round < SAMPLE_ROUNDS; round++) {
+    BTFI_TRY(sample_round(s, &energy));
+    captured = 0;
+    for (uint32_t i = 0; i < BTFI_MIN(s->found, plan->rank); i++) captured += s->ritz[i];
+    /* The sample differs from the matrix by about rank / items of the rest: no use in being more exact within
+     * it. */
+    const double rest = fmax(0, energy - captured), noise = 0.1 * rest * plan->rank / (double)items;
+    if (round > 0 && captured - captured_before <= fmax(noise, 1e-7 * energy)) break;
+    captured_before = captured;
+    BTFI_TRY(btfi_svd_report(s, 0.1 + 0.1 * (round + 1) / SAMPLE_ROUNDS));
+  }
+  const double scale = (double)s->desc->items / (double)items;
+  s->sample_rest = fmax(0, energy - captured) * scale;
+  s->kept_energy = s->found >= plan->rank ? s->ritz[plan->rank - 1] * scale : 0;
+  double within = 0;
+  for (uint32_t i = 0; i < s->found; i++) within += s->ritz[i];
+  s->mean_rest = fmax(0, energy - within) / (double)items;
+
+  *tail = tail_value(s);
+  btfi_svd_clear_block(s, s->window);
+  /* A sample poorer than the matrix may be leaves columns free: they take random directions. */
+  for (uint32_t c = s->found; c < BTFI_MIN(plan->width, smaller); c++) {
+    for (size_t j = 0; j < plan->length_padded; j++)
+      s->direction[j] = j < s->desc->length ? btfi_random_normal(&s->random) : 0;
+    btfi_svd_set_direction(s, s->direction, c);
+  }
+  return BTF_OK;
+}
