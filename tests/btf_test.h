@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* btf_test.h: what every suite uses. A suite's main ends with `return btf_run(name, tests)`. The allocator and the
- * files may be used from any thread; assertions belong on the test's own thread. */
+/* btf_test.h: what every suite uses. A suite's main ends with `return btf_run(name, tests)`. The allocator
+ * and the files may be used from any thread; assertions belong on the test's own thread. */
 #ifndef BTF_TEST_H
 #define BTF_TEST_H
 
@@ -43,26 +43,28 @@
       fail_msg("%s = %.9g, expected %.9g within %.3g", #got, near_got, near_expected, near_tolerance);       \
   } while (0)
 #define assert_relative(got, expected, tolerance)                                                            \
-  assert_near((got), (expected), (tolerance) * fabs((double)(expected)))
+  assert_near((got), (expected), (tolerance)*fabs((double)(expected)))
 
-/* A context whose allocator counts live bytes and can be told to fail. One per test; teardown checks for leaks. */
+/* A context whose allocator counts live bytes and can be told to fail. One per test; teardown checks for
+ * leaks. */
 typedef struct test_memory {
   long live_blocks, total_allocations;
-  long fail_at; /* the allocation with this number (from 1) fails; 0 = none */
+  long fail_at;   /* the allocation with this number (from 1) fails; 0 = none */
   int persistent; /* and all after it */
 } test_memory;
-btf_context *test_context(test_memory *memory);                    /* counting; aborts the test on failure */
+btf_context *test_context(test_memory *memory); /* counting; aborts the test on failure */
 btf_context *test_context_with(test_memory *memory, const char *isa, uint32_t threads);
-btf_allocator test_allocator(test_memory *memory); /* for contexts of other settings; the caller zeroes *memory first */
-void test_context_done(btf_context *ctx, test_memory *memory);     /* releases and expects no live blocks */
-const char *test_folder(void);                                     /* a fresh scratch folder of this process, removed at exit */
-const char *test_path(const char *name);                           /* scratch folder / name; static ring of 16 */
+btf_allocator
+test_allocator(test_memory *memory); /* for contexts of other settings; the caller zeroes *memory first */
+void test_context_done(btf_context *ctx, test_memory *memory); /* releases and expects no live blocks */
+const char *test_folder(void);           /* a fresh scratch folder of this process, removed at exit */
+const char *test_path(const char *name); /* scratch folder / name; static ring of 16 */
 
 /* Files of the scratch folder, with plain system calls. */
 void test_write_bytes(const char *path, const void *data, size_t size);
 unsigned char *test_read_bytes(const char *path, size_t *size); /* from malloc; fails the test if it cannot */
 int test_exists(const char *path);
-size_t test_count_entries(const char *folder);                  /* hidden ones too, without . and .. */
+size_t test_count_entries(const char *folder); /* hidden ones too, without . and .. */
 
 /* cmocka does not tell how many tests were skipped. */
 void test_note_skip(void);

@@ -22,42 +22,51 @@
 
 /* ---- failure and log (status.c) ---- */
 
-/* Sets this thread's message, tells the context's log (ctx may be NULL) and returns code. Layers that only pass a
- * status on do not call it again. */
+/* Sets this thread's message, tells the context's log (ctx may be NULL) and returns code. Layers that only
+ * pass a status on do not call it again. */
 btf_status btfi_fail(btf_context *ctx, btf_status code, const char *format, ...) LIBBTF_PRINTF(3, 4);
 void btfi_log(btf_context *ctx, int32_t level, const char *format, ...) LIBBTF_PRINTF(3, 4);
 
 /* ---- memory (memory.c) ---- */
 
-/* count * size bytes, 64-byte aligned, not zeroed, counted against the limit; NULL with the message set on overflow,
- * limit or exhaustion. Zero bytes give a valid pointer. btfi_alloc_status() tells NOMEM from LIMIT of this thread's last. */
+/* count * size bytes, 64-byte aligned, not zeroed, counted against the limit; NULL with the message set on
+ * overflow, limit or exhaustion. Zero bytes give a valid pointer. btfi_alloc_status() tells NOMEM from LIMIT
+ * of this thread's last. */
 void *btfi_alloc(btf_context *ctx, uint64_t count, uint64_t size);
 void *btfi_calloc(btf_context *ctx, uint64_t count, uint64_t size);
 void btfi_free(btf_context *ctx, void *ptr);
 btf_status btfi_alloc_status(void);
 char *btfi_strdup(btf_context *ctx, const char *text);
 
-/* Product of n factors; false on overflow of 64 bits. */
-static inline bool btfi_mul(uint64_t a, uint64_t b, uint64_t *out) { return !__builtin_mul_overflow(a, b, out); }
-static inline bool btfi_add(uint64_t a, uint64_t b, uint64_t *out) { return !__builtin_add_overflow(a, b, out); }
+/* Product and sum; false on overflow of 64 bits. */
+static inline bool btfi_mul(uint64_t a, uint64_t b, uint64_t *out) {
+  return !__builtin_mul_overflow(a, b, out);
+}
+static inline bool btfi_add(uint64_t a, uint64_t b, uint64_t *out) {
+  return !__builtin_add_overflow(a, b, out);
+}
 
 /* ---- growable structs (memory.c) ---- */
 
-/* Copies a caller's struct (whose first member is struct_size) to ours of `size` bytes. `minimum` is the size of the
- * first released version. */
-btf_status btfi_copy_in(btf_context *ctx, const char *name, void *dst, size_t size, size_t minimum, const void *src);
+/* Copies a caller's struct (whose first member is struct_size) to ours of `size` bytes. `minimum` is the size
+ * of the first released version. */
+btf_status btfi_copy_in(btf_context *ctx, const char *name, void *dst, size_t size, size_t minimum,
+                        const void *src);
 /* Copies ours back to the caller's, as far as it has room, keeping its struct_size. */
-btf_status btfi_copy_out(btf_context *ctx, const char *name, void *dst, size_t minimum, const void *src, size_t size);
+btf_status btfi_copy_out(btf_context *ctx, const char *name, void *dst, size_t minimum, const void *src,
+                         size_t size);
 
 /* ---- context (context.c) ---- */
 
 void btfi_context_retain(btf_context *ctx);
 const btf_limits *btfi_limits(const btf_context *ctx);
 /* The registry hangs its list here and is told when the context goes. */
-void btfi_context_set_registry(btf_context *ctx, void *registry, void (*destroy)(btf_context *ctx, void *registry));
+void btfi_context_set_registry(btf_context *ctx, void *registry,
+                               void (*destroy)(btf_context *ctx, void *registry));
 void *btfi_context_registry(const btf_context *ctx);
-/* Set by the registry layer's constructor function; called at the end of btf_context_create. Declared here so that
- * base does not include the registry; defined there, and in tests that link lower layers only in tests/no_registry.c. */
+/* Set by the registry layer's constructor function; called at the end of btf_context_create. Declared here so
+ * that base does not include the registry; defined there, and in tests that link lower layers only in
+ * tests/no_registry.c. */
 btf_status btfi_registry_attach(btf_context *ctx);
 
 /* ---- threads (threads.c) ---- */
@@ -67,7 +76,7 @@ uint32_t btfi_thread_count(const btf_context *ctx);
 
 /* ---- processor (cpu.c) ---- */
 
-uint32_t btfi_isa(const btf_context *ctx);    /* BTF_ISA_* of btf_plugin.h, capped by the context */
+uint32_t btfi_isa(const btf_context *ctx); /* BTF_ISA_* of btf_plugin.h, capped by the context */
 uint32_t btfi_isa_of_machine(void);
 
 /* ---- jobs (job.c) ---- */
@@ -83,8 +92,8 @@ typedef struct btfi_job {
 } btfi_job;
 /* Copies the caller's job (NULL = defaults; max_working_set becomes 1 GiB when 0). */
 btf_status btfi_job_begin(btf_context *ctx, const btf_job *user, btfi_job *out);
-/* BTF_OK or BTF_E_CANCELLED (sticky). `job` is NULL or the desc of a btfi_job. Thins reports out to ten a second, but
- * passes on fraction 0, fraction 1 and every new stage. One thread. */
+/* BTF_OK or BTF_E_CANCELLED (sticky). `job` is NULL or the desc of a btfi_job. Thins reports out to ten a
+ * second, but passes on fraction 0, fraction 1 and every new stage. One thread. */
 btf_status btfi_progress(const btf_job *job, double fraction, const char *stage);
 int64_t btfi_now_ns(void);
 
@@ -152,18 +161,27 @@ uint32_t btfi_utf8_length(const void *text, uint64_t size);
 /* ---- JSON (json.c) ---- */
 
 typedef struct btfi_json btfi_json;
-enum { BTFI_JSON_NULL, BTFI_JSON_BOOL, BTFI_JSON_NUMBER, BTFI_JSON_STRING, BTFI_JSON_ARRAY, BTFI_JSON_OBJECT };
-/* Parses a whole document (RFC 8259, UTF-8, at most 64 levels deep, duplicate keys refused). One line with line and
- * column on failure, BTF_E_CORRUPT, prefixed with `name`. */
-btf_status btfi_json_parse(btf_context *ctx, const char *name, const char *text, uint64_t size, btfi_json **out);
+enum {
+  BTFI_JSON_NULL,
+  BTFI_JSON_BOOL,
+  BTFI_JSON_NUMBER,
+  BTFI_JSON_STRING,
+  BTFI_JSON_ARRAY,
+  BTFI_JSON_OBJECT
+};
+/* Parses a whole document (RFC 8259, UTF-8, at most 64 levels deep, duplicate keys refused). One line with
+ * line and column on failure, BTF_E_CORRUPT, prefixed with `name`. */
+btf_status btfi_json_parse(btf_context *ctx, const char *name, const char *text, uint64_t size,
+                           btfi_json **out);
 void btfi_json_free(btfi_json *root);
 int btfi_json_type(const btfi_json *v);
-uint64_t btfi_json_length(const btfi_json *v);                        /* of an array or object, else 0 */
-const btfi_json *btfi_json_at(const btfi_json *v, uint64_t i);        /* NULL out of range; constant time for arrays */
-const char *btfi_json_key(const btfi_json *member);                       /* NULL unless in an object; and with NUL inside */
+uint64_t btfi_json_length(const btfi_json *v); /* of an array or object, else 0 */
+const btfi_json *btfi_json_at(const btfi_json *v,
+                              uint64_t i);          /* NULL out of range; constant time for arrays */
+const char *btfi_json_key(const btfi_json *member); /* NULL unless in an object; and with NUL inside */
 const btfi_json *btfi_json_get(const btfi_json *object, const char *key); /* NULL if absent */
-double btfi_json_number(const btfi_json *v);                           /* 0 unless a number */
-const char *btfi_json_string(const btfi_json *v);                      /* NULL unless a string without NUL inside */
+double btfi_json_number(const btfi_json *v);                              /* 0 unless a number */
+const char *btfi_json_string(const btfi_json *v); /* NULL unless a string without NUL inside */
 bool btfi_json_bool(const btfi_json *v);
 /* Appends a JSON string literal with escapes. */
 void btfi_json_put_string(btfi_buffer *b, const char *text);
