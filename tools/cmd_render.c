@@ -64,7 +64,10 @@ static int read_settings(const cli *c, render_settings *s) {
     return cli_usage(c, "%s: a picture ends in .png or .exr", s->output);
   if (cli_value(c, "scene") != NULL) s->scene_name = cli_value(c, "scene");
   if (strcmp(s->scene_name, "plane") == 0) s->camera[1] = 50.0;
-  if (strcmp(s->scene_name, "cloth") == 0) s->camera[1] = 32.0;
+  if (strcmp(s->scene_name, "cloth") == 0) {
+    s->camera[1] = 32.0;
+    s->distance = 3.0;
+  }
   if (cli_has(c, "light") && cli_has(c, "env")) return cli_usage(c, "--light and --env exclude each other");
   if (status == EXIT_DONE) status = cli_numbers(c, "light", 2, s->light);
   if (status == EXIT_DONE) status = cli_numbers(c, "camera", 2, s->camera);
