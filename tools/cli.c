@@ -2,7 +2,7 @@
 /* cli.c: parsing of a subcommand's arguments, and its help. */
 #include "cli.h"
 
-#include <errno.h>
+#include <ctype.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -54,7 +54,7 @@ void cli_print_help(const cli_command *command, FILE *out) {
     lead = "      ";
     form = line_end != NULL ? line_end + 1 : NULL;
   }
-  fprintf(out, "\n%s.\n\nOptions:\n", command->summary);
+  fprintf(out, "\n%c%s.\n\nOptions:\n", toupper((unsigned char)command->summary[0]), command->summary + 1);
   for (const cli_option *o = command->options; o->name != NULL; o++) print_option(o, out);
   for (const cli_option *o = common_options; o->name != NULL; o++) print_option(o, out);
   if (command->details != NULL) fprintf(out, "\n%s\n", command->details);

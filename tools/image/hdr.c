@@ -157,7 +157,7 @@ static void store_line(image *out, const orientation *o, uint32_t s, const unsig
 
 int image_decode_hdr(const image_bytes *file, image *out) {
   hdr_reader r = {file, 0, 1};
-  orientation o;
+  orientation o = {0};
   unsigned char *rgbe;
   int failed = read_header(&r);
   if (!failed) failed = read_orientation(&r, &o);

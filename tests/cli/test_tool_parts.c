@@ -1,0 +1,392 @@
+/* SPDX-License-Identifier: MIT */
+/* The parts of the btf command: numbers as text, pictures, similarity, near misses. */
+#include "btf_test.h"
+
+#include <unistd.h>
+
+#include "cli.h"
+#include "image/image.h"
+#include "metrics.h"
+#include "number_text.h"
+#include "parallel.h"
+
+/* ---- numbers as text ---- */
+
+static uint64_t random_state = 88172645463325252u;
+static uint64_t next_random(void) {
+  random_state ^= random_state << 13;
+  random_state ^= random_state >> 7;
+  return random_state ^= random_state << 17;
+}
+
+static float float_of(uint32_t bits) {
+  float value;
+  memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+/* The quick forms must agree with the C library's to the last character and bit. */
+static void numbers_are_written_like_printf(void **state) {
+  (void)state;
+  for (int i = 0; i < 1000000; i++) {
+    const uint64_t r = next_random();
+    char got[40], expected[40];
+    /* Any bits; values of ordinary size; neighbours of powers of ten. */
+    float value = float_of((uint32_t)r);
+    if (i % 3 == 1) value = float_of((uint32_t)((113 + (r >> 40) % 44) << 23 | (r & 0x7fffff)));
+    if (i % 3 == 2) {
+      uint32_t bits;
+      value = (float)pow(10, (int)(r % 14) - 4);
+      memcpy(&bits, &value, sizeof bits);
+      value = float_of(bits + (uint32_t)(r >> 32) % 9 - 4);
+    }
+    if (isnan(value)) continue;
+    got[number_write(got, value)] = '\0';
+    snprintf(expected, sizeof expected, "%.9g", (double)value);
+    assert_string_equal(got, expected);
+  }
+}
+
+static void numbers_are_read_like_strtof(void **state) {
+  (void)state;
+  for (int i = 0; i < 500000; i++) {
+    const uint64_t r = next_random();
+    const uint32_t bits = i % 2 ? (uint32_t)((117 + (r >> 40) % 20) << 23 | (r & 0x7fffff)) : (uint32_t)r;
+    /* Every fourth lies half-way between two floats, where rounding twice would show. */
+    const double value =
+        i % 4 < 3 ? (double)float_of(bits) : ((double)float_of(bits) + (double)float_of(bits + 1)) / 2;
+    char text[64];
+    const char *p = text;
+    float got = 0, expected;
+    if (!isfinite(value)) continue;
+    snprintf(text, sizeof text, i % 8 < 4 ? "%.*g" : "%.*e", (int)(r >> 32) % 20 + 1, value);
+    expected = strtof(text, NULL);
+    assert_true(number_read(&p, &got));
+    assert_memory_equal(&got, &expected, sizeof got);
+    assert_int_equal(*p, '\0');
+  }
+}
+
+static void what_is_no_number_is_refused(void **state) {
+  static const char *const wrong[] = {"",     "-",   ".",    "+",  "1e",  "1e+", "0x10",
+                                      "1.5f", "--1", "1..2", "e5", "1,5", " 1",  "\n1"};
+  static const char *const wrong_index[] = {"",  "-1", "+1", "1.0", "4294967296", "99999999999999999999",
+                                            "x", " 1"};
+  uint32_t index;
+  float value;
+  (void)state;
+  for (size_t i = 0; i < sizeof wrong / sizeof *wrong; i++) {
+    const char *p = wrong[i];
+    assert_false(number_read(&p, &value));
+    assert_ptr_equal(p, wrong[i]);
+  }
+  for (size_t i = 0; i < sizeof wrong_index / sizeof *wrong_index; i++) {
+    const char *p = wrong_index[i];
+    assert_false(number_read_index(&p, &index));
+  }
+  {
+    const char *p = "4294967295 ";
+    assert_true(number_read_index(&p, &index));
+    assert_int_equal(index, UINT32_MAX);
+  }
+}
+
+/* ---- pictures ---- */
+
+static void fill_with_pattern(image *picture) {
+  for (uint32_t y = 0; y < picture->height; y++)
+    for (uint32_t x = 0; x < picture->width; x++) {
+      float *pixel = image_pixel(picture, x, y);
+      pixel[0] = (float)x + 0.25f;
+      pixel[1] = (float)y * 0.125f;
+      pixel[2] = (float)(x * y) * 1e-3f;
+    }
+}
+
+static void exr_files_keep_every_value(void **state) {
+  static const uint32_t sizes[][2] = {{1, 1}, {17, 5}, {5, 40}, {64, 33}};
+  (void)state;
+  for (size_t s = 0; s < sizeof sizes / sizeof *sizes; s++) {
+    image picture, again;
+    const char *path = test_path("pattern.exr");
+    uint64_t repaired = 1;
+    const size_t values = (size_t)sizes[s][0] * sizes[s][1] * 3;
+    assert_int_equal(image_create(&picture, sizes[s][0], sizes[s][1]), EXIT_DONE);
+    fill_with_pattern(&picture);
+    assert_int_equal(image_write(&picture, path), EXIT_DONE);
+    assert_int_equal(image_read(path, &again, &repaired), EXIT_DONE);
+    assert_int_equal(repaired, 0);
+    assert_int_equal(again.width, sizes[s][0]);
+    assert_int_equal(again.height, sizes[s][1]);
+    assert_memory_equal(picture.rgb, again.rgb, values * sizeof(float));
+    image_free(&again);
+    /* Halves round to 11 bits. */
+    picture.rgb[0] = 1e9f;
+    assert_int_equal(image_write_exr(&picture, path, true), EXIT_DONE);
+    assert_int_equal(image_read(path, &again, NULL), EXIT_DONE);
+    assert_true(again.rgb[0] == 65504.0f);
+    for (size_t i = 1; i < values; i++)
+      assert_near(again.rgb[i], picture.rgb[i], picture.rgb[i] / 2048.0 + 6e-8);
+    image_free(&again);
+    image_free(&picture);
+  }
+}
+
+static void write_bytes(const char *path, const void *bytes, size_t size) {
+  FILE *out = fopen(path, "wb");
+  assert_non_null(out);
+  assert_int_equal(fwrite(bytes, 1, size, out), size);
+  assert_int_equal(fclose(out), 0);
+}
+
+/* The same picture of 2 x 2 pixels stored in all eight orders. Pixel (x, y) from the top left has mantissa 1
+ * + 10 (x + 2 y). */
+static void hdr_orders_give_one_picture(void **state) {
+  static const char *const orders[] = {"-Y 2 +X 2", "-Y 2 -X 2", "+Y 2 +X 2", "+Y 2 -X 2",
+                                       "+X 2 -Y 2", "-X 2 -Y 2", "+X 2 +Y 2", "-X 2 +Y 2"};
+  (void)state;
+  for (int i = 0; i < 8; i++) {
+    const bool column_major = i >= 4;
+    unsigned char file[256];
+    image picture;
+    const char *path = test_path("order.hdr");
+    const char *order = orders[i];
+    size_t size =
+        (size_t)snprintf((char *)file, sizeof file, "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n%s\n", order);
+    for (int slow = 0; slow < 2; slow++)
+      for (int fast = 0; fast < 2; fast++) {
+        const bool slow_grows = order[0] == '+', fast_grows = order[5] == '+';
+        const int x = column_major ? (slow_grows ? slow : 1 - slow) : (fast_grows ? fast : 1 - fast);
+        /* +Y grows upward: the first line is the bottom one. */
+        const int y = column_major ? (fast_grows ? 1 - fast : fast) : (slow_grows ? 1 - slow : slow);
+        const unsigned char mantissa = (unsigned char)(1 + 10 * (x + 2 * y));
+        const unsigned char pixel[4] = {mantissa, 100, 200, 129};
+        memcpy(file + size, pixel, 4);
+        size += 4;
+      }
+    write_bytes(path, file, size);
+    assert_int_equal(image_read(path, &picture, NULL), EXIT_DONE);
+    for (uint32_t y = 0; y < 2; y++)
+      for (uint32_t x = 0; x < 2; x++) {
+        /* (mantissa + 1/2) 2^(129 - 136), exact in binary. */
+        assert_true(image_pixel(&picture, x, y)[0] == (1.5f + 10.0f * (float)(x + 2 * y)) / 128);
+        assert_true(image_pixel(&picture, x, y)[2] == 200.5f / 128);
+      }
+    image_free(&picture);
+  }
+}
+
+static void hdr_runs_are_unpacked(void **state) {
+  /* 10 pixels: each component a run of 7 and three plain bytes. */
+  unsigned char file[256];
+  size_t size = (size_t)snprintf((char *)file, sizeof file, "#?RGBE\nEXPOSURE=2\n\n-Y 1 +X 10\n");
+  image picture;
+  const char *path = test_path("runs.hdr");
+  (void)state;
+  memcpy(file + size, "\2\2\0\12", 4);
+  size += 4;
+  for (unsigned char c = 0; c < 4; c++) {
+    const unsigned char value = c == 3 ? 136 : (unsigned char)(10 * (c + 1));
+    const unsigned char packed[6] = {128 + 7, value, 3, value, value, c == 3 ? 137 : value};
+    memcpy(file + size, packed, 6);
+    size += 6;
+  }
+  write_bytes(path, file, size);
+  assert_int_equal(image_read(path, &picture, NULL), EXIT_DONE);
+  for (uint32_t x = 0; x < 10; x++)
+    for (uint32_t c = 0; c < 3; c++)
+      assert_true(image_pixel(&picture, x, 0)[c] == (10.0f * (float)(c + 1) + 0.5f) / 2 * (x == 9 ? 2 : 1));
+  image_free(&picture);
+  /* Every shorter file is refused, and so is every file with one byte changed or read without harm. */
+  for (size_t length = 0; length < size; length++) {
+    write_bytes(path, file, length);
+    assert_int_equal(image_read(path, &picture, NULL), EXIT_MALFORMED);
+    assert_null(picture.rgb);
+  }
+  for (size_t at = 0; at < size; at++) {
+    file[at] ^= 0x85;
+    write_bytes(path, file, size);
+    (void)image_read(path, &picture, NULL);
+    image_free(&picture);
+    file[at] ^= 0x85;
+  }
+}
+
+static void damaged_exr_files_do_no_harm(void **state) {
+  const char *path = test_path("sound.exr"), *other = test_path("damaged.exr");
+  unsigned char file[4096];
+  size_t size;
+  image picture;
+  FILE *in;
+  (void)state;
+  assert_int_equal(image_create(&picture, 9, 20), EXIT_DONE);
+  fill_with_pattern(&picture);
+  assert_int_equal(image_write(&picture, path), EXIT_DONE);
+  image_free(&picture);
+  in = fopen(path, "rb");
+  assert_non_null(in);
+  size = fread(file, 1, sizeof file, in);
+  fclose(in);
+  assert_in_range(size, 100, sizeof file - 1);
+  for (size_t length = 0; length < size; length += 7) {
+    write_bytes(other, file, length);
+    assert_int_not_equal(image_read(other, &picture, NULL), EXIT_DONE);
+  }
+  for (size_t at = 0; at < size; at++) {
+    file[at] ^= 0xff;
+    write_bytes(other, file, size);
+    (void)image_read(other, &picture, NULL);
+    image_free(&picture);
+    file[at] ^= 0xff;
+  }
+}
+
+static void values_that_are_no_light_become_black(void **state) {
+  image picture, again;
+  const char *path = test_path("odd.exr");
+  uint64_t repaired = 0;
+  (void)state;
+  assert_int_equal(image_create(&picture, 2, 1), EXIT_DONE);
+  picture.rgb[0] = NAN;
+  picture.rgb[1] = INFINITY;
+  picture.rgb[2] = -1;
+  picture.rgb[3] = 2;
+  assert_int_equal(image_write(&picture, path), EXIT_DONE);
+  assert_int_equal(image_read(path, &again, &repaired), EXIT_DONE);
+  assert_int_equal(repaired, 3);
+  assert_true(again.rgb[0] == 0 && again.rgb[1] == 0 && again.rgb[2] == 0 && again.rgb[3] == 2);
+  image_free(&picture);
+  image_free(&again);
+}
+
+static void srgb_is_the_standard_curve(void **state) {
+  (void)state;
+  /* IEC 61966-2-1: 0.18 grey is 0.4613561; the pieces meet at 0.0031308. */
+  assert_near(tone_to_srgb(0.18f), 0.46135612950044164, 1e-6);
+  assert_near(tone_to_srgb(0.002f), 0.02584, 1e-7);
+  assert_true(tone_to_srgb(-1) == 0 && tone_to_srgb(2) == 1 && tone_to_srgb(NAN) == 0);
+  for (int i = 0; i <= 255; i++) assert_near(tone_to_srgb(tone_from_srgb((float)i / 255)), i / 255.0, 2e-6);
+}
+
+static void percentiles_are_ranks(void **state) {
+  image picture;
+  (void)state;
+  assert_int_equal(image_create(&picture, 1000, 1), EXIT_DONE);
+  for (uint32_t i = 0; i < 3000; i++) picture.rgb[(i * 7) % 3000] = (float)i / 3000;
+  assert_true(tone_percentile(&picture, 0) == 0);
+  assert_near(tone_percentile(&picture, 0.5), 1499 / 3000.0, 1e-7);
+  assert_near(tone_percentile(&picture, 1), 2999 / 3000.0, 1e-7);
+  image_free(&picture);
+}
+
+/* ---- similarity ---- */
+
+/* By the definition: windows of 121 weights, sums in double, indices that wrap. */
+static double ssim_by_definition(const float *a, const float *b, int width, int height) {
+  double weights[11][11], weight_sum = 0, total = 0;
+  for (int j = -5; j <= 5; j++)
+    for (int i = -5; i <= 5; i++) weight_sum += weights[j + 5][i + 5] = exp(-(i * i + j * j) / 4.5);
+  for (int y = 0; y < height; y++)
+    for (int x = 0; x < width; x++) {
+      double ma = 0, mb = 0, va = 0, vb = 0, cov = 0;
+      for (int pass = 0; pass < 2; pass++)
+        for (int j = -5; j <= 5; j++)
+          for (int i = -5; i <= 5; i++) {
+            const int at = (y + j + 50 * height) % height * width + (x + i + 50 * width) % width;
+            const double w = weights[j + 5][i + 5] / weight_sum;
+            if (pass == 0) {
+              ma += w * a[at];
+              mb += w * b[at];
+            } else {
+              va += w * (a[at] - ma) * (a[at] - ma);
+              vb += w * (b[at] - mb) * (b[at] - mb);
+              cov += w * (a[at] - ma) * (b[at] - mb);
+            }
+          }
+      total += (2 * ma * mb + 1e-4) * (2 * cov + 9e-4) / ((ma * ma + mb * mb + 1e-4) * (va + vb + 9e-4));
+    }
+  return total / (width * height);
+}
+
+static void ssim_is_what_its_definition_says(void **state) {
+  static const int sizes[][2] = {{1, 1}, {3, 2}, {11, 11}, {24, 17}};
+  (void)state;
+  for (size_t s = 0; s < sizeof sizes / sizeof *sizes; s++) {
+    const int width = sizes[s][0], height = sizes[s][1], pixels = width * height;
+    float *a = malloc(sizeof(float) * (size_t)pixels), *b = malloc(sizeof(float) * (size_t)pixels);
+    float *scratch = malloc(sizeof(float) * ssim_scratch((uint32_t)width, (uint32_t)height));
+    assert_true(a != NULL && b != NULL && scratch != NULL);
+    for (int i = 0; i < pixels; i++) {
+      a[i] = (float)(next_random() % 1000) / 999;
+      b[i] = 0.7f * a[i] + 0.3f * (float)(next_random() % 1000) / 999;
+    }
+    /* Variances are differences of float sums of about 1: errors of some 1e-7 beside 9e-4. */
+    assert_near(ssim_mean(a, b, (uint32_t)width, (uint32_t)height, scratch),
+                ssim_by_definition(a, b, width, height), 1e-3);
+    assert_true(ssim_mean(a, a, (uint32_t)width, (uint32_t)height, scratch) == 1);
+    free(a);
+    free(b);
+    free(scratch);
+  }
+}
+
+/* ---- words and threads ---- */
+
+static void near_misses_are_likely_ones(void **state) {
+  static const char *const words[] = {"encode", "eval", "export", "info", NULL};
+  (void)state;
+  assert_string_equal(cli_near_miss("encdoe", words), "encode");
+  assert_string_equal(cli_near_miss("enc", words), "encode");
+  assert_string_equal(cli_near_miss("evla", words), "eval");
+  assert_null(cli_near_miss("frobnicate", words));
+  assert_null(cli_near_miss("x", words));
+}
+
+typedef struct visits {
+  uint32_t threads;
+  uint8_t seen[1000];
+  bool wrong_thread;
+} visits;
+
+static bool visit(void *user, uint64_t index, uint32_t thread) {
+  visits *v = user;
+  v->seen[index]++;
+  if (thread != index % v->threads) v->wrong_thread = true;
+  return true;
+}
+
+static bool stop_at_seven(void *user, uint64_t index, uint32_t thread) {
+  (void)user;
+  (void)thread;
+  return index != 7;
+}
+
+static void every_task_runs_once_on_its_thread(void **state) {
+  (void)state;
+  for (uint32_t threads = 1; threads <= 5; threads++) {
+    visits v = {threads, {0}, false};
+    assert_true(parallel_for(threads, 1000, visit, &v));
+    for (int i = 0; i < 1000; i++) assert_int_equal(v.seen[i], 1);
+    assert_false(v.wrong_thread);
+    assert_false(parallel_for(threads, 1000, stop_at_seven, NULL));
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(numbers_are_written_like_printf),
+      cmocka_unit_test(numbers_are_read_like_strtof),
+      cmocka_unit_test(what_is_no_number_is_refused),
+      cmocka_unit_test(exr_files_keep_every_value),
+      cmocka_unit_test(hdr_orders_give_one_picture),
+      cmocka_unit_test(hdr_runs_are_unpacked),
+      cmocka_unit_test(damaged_exr_files_do_no_harm),
+      cmocka_unit_test(values_that_are_no_light_become_black),
+      cmocka_unit_test(srgb_is_the_standard_curve),
+      cmocka_unit_test(percentiles_are_ranks),
+      cmocka_unit_test(ssim_is_what_its_definition_says),
+      cmocka_unit_test(near_misses_are_likely_ones),
+      cmocka_unit_test(every_task_runs_once_on_its_thread),
+  };
+  return btf_run("tool parts", tests);
+}
