@@ -28,7 +28,7 @@ typedef struct btf_interp {
 } btf_interp;
 
 /** Makes a set of `count` directions from 3 * count floats. Each must have z > 0 and length 1 within 1e-3 (it is
- *  normalised); no two may be closer than 1e-4 rad. Errors name the offending index: BTF_E_INVALID_ARG,
+ *  normalised if it is off by more than 1e-5); no two may be closer than 1e-4 rad. Errors name the offending index: BTF_E_INVALID_ARG,
  *  BTF_E_LIMIT, BTF_E_NOMEM. Threads: free. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_dirset_create(btf_context *ctx, const float *xyz, uint32_t count,
                                                          btf_dirset **out);

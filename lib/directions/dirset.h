@@ -32,10 +32,10 @@ typedef struct btfi_facet {
   uint32_t next[3]; /* facet to go on in when the weight of that vertex is negative */
 } btfi_facet;
 
-/* Cells over parabolic [-1, 1]^2: 64 x 64 at the root, each either a leaf or split 8 x 8. */
+/* Cells over parabolic [-1, 1]^2: 64 x 64 at the root, each either a leaf or split 8 x 8. A unit has a little
+ * less than 32 of them, so that a coordinate of 1 plus rounding has one too. */
 #define BTFI_RASTER_ROOT 64
-#define BTFI_RASTER_SCALE                                                                                    \
-  31.999f /* cells per unit: a little less than 32, so that 1 plus rounding has a cell */
+#define BTFI_RASTER_SCALE 31.999f
 #define BTFI_RASTER_SPLIT 8
 #define BTFI_RASTER_DEPTH 4
 #define BTFI_CELL_SPLIT 0x80000000u  /* ref: the rest is the number of the first child */
@@ -59,7 +59,7 @@ struct btf_dirset {
   uint32_t *nearby;
 };
 
-/* A direction in parabolic coordinates. x, y, z are what it is read as: not below the horizon. */
+/* A direction in parabolic coordinates. */
 typedef struct btfi_parabolic {
   float px, py;
 } btfi_parabolic;
