@@ -1,0 +1,65 @@
+/* SPDX-License-Identifier: MIT */
+/* codec.c: the codec as the registry sees it. */
+#include "fmf.h"
+
+#include <math.h>
+
+#define PARAM(id, value_type, about, of_unit, standard, list, least, most)                                   \
+  static const btf_param_desc id = {                                                                         \
+      sizeof(btf_param_desc), #id, about, of_unit, standard, list, least, most, (value_type), 0}
+
+static const char *const storages[] = {"f32", "f16", "bf16", "q8", NULL};
+static const char *const codings[] = {"packed", "plain", NULL};
+
+PARAM(components, BTF_PARAM_INT, "number of components; unused with psnr or rmse", NULL, "32", NULL, 1,
+      FMF_MAX_COMPONENTS);
+PARAM(psnr, BTF_PARAM_FLOAT,
+      "least quality, which picks the components; peak is the 99.9th percentile of the data", "dB", "0", NULL,
+      0, 200);
+PARAM(rmse, BTF_PARAM_FLOAT, "largest root mean square error, which picks the components", NULL, "0", NULL, 0,
+      INFINITY);
+PARAM(max_components, BTF_PARAM_INT, "most components that psnr or rmse may pick", NULL, "256", NULL, 1,
+      FMF_MAX_COMPONENTS);
+PARAM(mean, BTF_PARAM_BOOL, "keep the mean ABRDF apart (principal components) in a column of its own", NULL,
+      "false", NULL, 0, 1);
+PARAM(storage, BTF_PARAM_CHOICE, "values in memory while evaluating", NULL, "f16", storages, 0, 0);
+PARAM(coding, BTF_PARAM_CHOICE,
+      "small in a file and unpacked when loaded, or as in memory and used from the mapping", NULL, "packed",
+      codings, 0, 0);
+PARAM(loss, BTF_PARAM_FLOAT, "relative growth of the error by packing", NULL, "0.003", NULL, 1e-6, 1);
+PARAM(levels, BTF_PARAM_INT, "levels of detail, 0 = all", NULL, "0", NULL, 0, FMF_MAX_LEVELS);
+PARAM(accuracy, BTF_PARAM_FLOAT, "error of the decomposition above the optimum, relative", NULL, "0.0005",
+      NULL, 1e-6, 1);
+PARAM(zstd, BTF_PARAM_INT, "zstd level of the packed factors, 0 = default", NULL, "0", NULL, 0, 22);
+
+static const btf_param_desc *const params[] = {&components, &psnr, &rmse,   &max_components, &mean, &storage,
+                                               &coding,     &loss, &levels, &accuracy,       &zstd, NULL};
+
+static uint32_t level_count(const void *state) {
+  return ((const btfi_fmf_state *)state)->layout.levels;
+}
+
+static uint64_t resident_bytes(const void *state) {
+  return ((const btfi_fmf_state *)state)->resident;
+}
+
+extern const btf_codec_vtbl btf_codec_fmf;
+const btf_codec_vtbl btf_codec_fmf = {
+    .struct_size = sizeof(btf_codec_vtbl),
+    .abi = LIBBTF_ABI,
+    .id = "fmf",
+    .title = "full matrix factorisation (truncated SVD of all ABRDFs)",
+    .version = "1",
+    .caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT | BTF_CAP_BATCH | BTF_CAP_LOD | BTF_CAP_LINEAR,
+    .params = params,
+    .format_read_min = 1,
+    .format_write = 1,
+    .fit = btfi_fmf_fit,
+    .load = btfi_fmf_load,
+    .destroy = btfi_fmf_destroy,
+    .levels = level_count,
+    .resident_bytes = resident_bytes,
+    .eval = btfi_fmf_eval,
+    .eval_n = btfi_fmf_eval_n,
+    .texel = btfi_fmf_texel,
+};

@@ -1,0 +1,130 @@
+/* SPDX-License-Identifier: MIT */
+/* matrix.c: a data set read as the matrix B, in the direction that its samples lie in. */
+#include "fmf.h"
+
+#include <string.h>
+
+btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
+                                btfi_fmf_matrix *out) {
+  btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+  uint64_t samples;
+  memset(out, 0, sizeof *out);
+  FMF_TRY(host->dataset_describe(ds, &desc));
+  out->host = host;
+  out->ctx = ctx;
+  out->ds = ds;
+  out->views = host->dirset_count(desc.views);
+  out->lights = host->dirset_count(desc.lights);
+  out->channels = desc.channels;
+  out->width = desc.width;
+  out->height = desc.height;
+  out->by_image =
+      (desc.flags & BTF_DATASET_IMAGE_MAJOR) != 0 ||
+      (desc.data != NULL && desc.strides.view > desc.strides.y && desc.strides.view > desc.strides.x);
+  out->texels = (uint64_t)desc.width * desc.height;
+  if (__builtin_mul_overflow((uint64_t)out->views * out->lights, (uint64_t)out->channels, &out->rows) ||
+      __builtin_mul_overflow(out->rows, out->texels, &samples) || samples > UINT64_MAX / sizeof(float))
+    return host->fail(ctx, BTF_E_LIMIT, "fmf: the data set has more samples than 64 bits can count");
+  out->items = out->by_image ? out->rows : out->texels;
+  out->length = out->by_image ? out->texels : out->rows;
+  out->block_items = out->by_image ? out->channels : desc.data == NULL ? desc.width : 0;
+  return BTF_OK;
+}
+
+void btfi_fmf_matrix_close(btfi_fmf_matrix *matrix) {
+  matrix->host->free(matrix->ctx, matrix->partial);
+  matrix->partial = NULL;
+}
+
+/* Images of whole (view, light) pairs. A run of pairs is a box only within one view or over whole views. */
+static btf_status read_pairs(const btfi_fmf_matrix *m, uint64_t pair0, uint64_t pairs, float *dst,
+                             size_t ld) {
+  const ptrdiff_t image = (ptrdiff_t)(ld * sizeof *dst), pair_step = image * m->channels;
+  const btf_strides strides = {pair_step * m->lights, pair_step, (ptrdiff_t)(m->width * sizeof *dst),
+                               (ptrdiff_t)sizeof *dst, image};
+  while (pairs > 0) {
+    const uint32_t view = (uint32_t)(pair0 / m->lights), light = (uint32_t)(pair0 % m->lights);
+    btf_block block = {view, 1, light, m->lights - light, 0, 0, m->width, m->height};
+    if (light == 0 && pairs >= m->lights) {
+      block.views = (uint32_t)(pairs / m->lights);
+    } else if (pairs < block.lights) {
+      block.lights = (uint32_t)pairs;
+    }
+    const uint64_t done = (uint64_t)block.views * block.lights;
+    FMF_TRY(m->host->dataset_read(m->ds, &block, dst, &strides));
+    dst += done * m->channels * ld;
+    pair0 += done;
+    pairs -= done;
+  }
+  return BTF_OK;
+}
+
+/* Some channels of one pair. */
+static btf_status read_channels(btfi_fmf_matrix *m, uint64_t pair, uint32_t channel, uint32_t channels,
+                                float *dst, size_t ld) {
+  if (m->partial == NULL) {
+    m->partial = m->host->alloc(m->ctx, m->texels, m->channels * sizeof *m->partial);
+    if (m->partial == NULL) return BTF_E_NOMEM;
+  }
+  FMF_TRY(read_pairs(m, pair, 1, m->partial, m->texels));
+  for (uint32_t c = 0; c < channels; c++)
+    memcpy(dst + c * ld, m->partial + (channel + c) * m->texels, m->texels * sizeof *dst);
+  return BTF_OK;
+}
+
+static btf_status read_images(btfi_fmf_matrix *m, uint64_t item0, uint64_t items, float *dst, size_t ld) {
+  while (items > 0) {
+    const uint64_t pair = item0 / m->channels;
+    const uint32_t channel = (uint32_t)(item0 % m->channels);
+    uint64_t done;
+    if (channel == 0 && items >= m->channels) {
+      done = items / m->channels * m->channels;
+      FMF_TRY(read_pairs(m, pair, done / m->channels, dst, ld));
+    } else {
+      done = m->channels - channel < items ? m->channels - channel : items;
+      FMF_TRY(read_channels(m, pair, channel, (uint32_t)done, dst, ld));
+    }
+    dst += done * ld;
+    item0 += done;
+    items -= done;
+  }
+  return BTF_OK;
+}
+
+/* ABRDFs. A run of texels is a box only within one line or over whole lines. */
+static btf_status read_texels(const btfi_fmf_matrix *m, uint64_t item0, uint64_t items, float *dst,
+                              size_t ld) {
+  const ptrdiff_t value = sizeof *dst, texel = (ptrdiff_t)(ld * sizeof *dst);
+  const btf_strides strides = {value * m->channels * m->lights, value * m->channels, texel * m->width, texel,
+                               value};
+  while (items > 0) {
+    const uint32_t y = (uint32_t)(item0 / m->width), x = (uint32_t)(item0 % m->width);
+    btf_block block = {0, m->views, 0, m->lights, x, y, m->width - x, 1};
+    if (x == 0 && items >= m->width) {
+      block.height = (uint32_t)(items / m->width);
+    } else if (items < block.width) {
+      block.width = (uint32_t)items;
+    }
+    const uint64_t done = (uint64_t)block.width * block.height;
+    FMF_TRY(m->host->dataset_read(m->ds, &block, dst, &strides));
+    dst += done * ld;
+    item0 += done;
+    items -= done;
+  }
+  return BTF_OK;
+}
+
+btf_status btfi_fmf_matrix_read(void *matrix, uint64_t item0, uint64_t items, float *dst, size_t ld) {
+  btfi_fmf_matrix *m = matrix;
+  FMF_TRY(m->by_image ? read_images(m, item0, items, dst, ld) : read_texels(m, item0, items, dst, ld));
+  if (m->mean == NULL) return BTF_OK;
+  for (uint64_t i = 0; i < items; i++, dst += ld) {
+    if (m->by_image) {
+      const float mean = m->mean[item0 + i];
+      for (uint64_t j = 0; j < m->length; j++) dst[j] -= mean;
+    } else {
+      for (uint64_t j = 0; j < m->length; j++) dst[j] -= m->mean[j];
+    }
+  }
+  return BTF_OK;
+}

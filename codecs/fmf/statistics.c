@@ -1,0 +1,119 @@
+/* SPDX-License-Identifier: MIT */
+/* statistics.c: mean ABRDF, energy and peak of a data set in one reading. */
+#include "fmf.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+  BIN_SHIFT = 12, /* positive floats by their upper bits: bins of 2^-11 relative width */
+  BINS = 0x7f800000u >> BIN_SHIFT,
+  PARTS = 16,
+  BLOCK_FLOATS = 4 << 20
+};
+
+typedef struct statistics_pass {
+  const btfi_fmf_matrix *matrix;
+  const float *block;
+  uint64_t items;
+  double *sums; /* of each row of B */
+  double energy[PARTS];
+  uint64_t *histogram;   /* BINS for each thread */
+  uint64_t below[PARTS]; /* samples that are not positive */
+} statistics_pass;
+
+/* Takes one of PARTS ranges of the rows of B, so that sums do not depend on which thread makes them. */
+static void take_part(void *job, uint32_t part, uint32_t thread) {
+  statistics_pass *pass = job;
+  const btfi_fmf_matrix *m = pass->matrix;
+  const uint64_t rows = m->by_image ? pass->items : m->rows, others = m->by_image ? m->texels : pass->items;
+  const uint64_t row_step = m->by_image ? m->length : 1, other_step = m->by_image ? 1 : m->length;
+  uint64_t *histogram = pass->histogram + (uint64_t)thread * BINS;
+  const uint64_t first = rows * part / PARTS, last = rows * (part + 1) / PARTS;
+  double energy = 0.0;
+  for (uint64_t row = first; row < last; row++) {
+    const float *value = pass->block + row * row_step;
+    double sum = 0.0;
+    for (uint64_t i = 0; i < others; i++, value += other_step) {
+      uint32_t bits;
+      sum += *value;
+      energy += (double)*value * *value;
+      memcpy(&bits, value, sizeof bits);
+      if (*value > 0.0f) {
+        histogram[bits >> BIN_SHIFT]++;
+      } else {
+        pass->below[part]++;
+      }
+    }
+    pass->sums[row] += sum;
+  }
+  pass->energy[part] += energy;
+}
+
+/* The lower edge of the bin that holds the 99.9th percentile. */
+static double find_peak(const statistics_pass *pass, uint32_t threads, uint64_t samples) {
+  uint64_t above = 0;
+  const uint64_t most = samples / 1000;
+  for (uint32_t bin = BINS; bin-- > 0;) {
+    for (uint32_t t = 0; t < threads; t++) above += pass->histogram[(uint64_t)t * BINS + bin];
+    if (above > most) {
+      const uint32_t bits = bin << BIN_SHIFT;
+      float edge;
+      memcpy(&edge, &bits, sizeof edge);
+      return edge;
+    }
+  }
+  return 0.0;
+}
+
+static btf_status read_all(btfi_fmf_matrix *m, const btf_job *job, double from, double to,
+                           statistics_pass *pass, float *block, uint64_t block_items) {
+  double *const row_sums = pass->sums;
+  for (uint64_t item = 0; item < m->items; item += block_items) {
+    pass->items = m->items - item < block_items ? m->items - item : block_items;
+    FMF_TRY(m->host->progress(job, from + (to - from) * (double)item / (double)m->items, "statistics"));
+    FMF_TRY(btfi_fmf_matrix_read(m, item, pass->items, block, m->length));
+    pass->sums = m->by_image ? row_sums + item : row_sums;
+    FMF_TRY(m->host->parallel(m->ctx, PARTS, take_part, pass));
+  }
+  pass->sums = row_sums;
+  return BTF_OK;
+}
+
+btf_status btfi_fmf_measure(btfi_fmf_matrix *m, const btf_job *job, double from, double to, float *mean,
+                            btfi_fmf_statistics *out) {
+  const uint32_t threads = m->host->thread_count(m->ctx);
+  const uint64_t budget = job->max_working_set / 4 / sizeof(float);
+  const uint64_t block_floats = budget < BLOCK_FLOATS ? budget : BLOCK_FLOATS;
+  const uint64_t unit = m->by_image ? m->channels : 1;
+  uint64_t block_items = block_floats / m->length / unit * unit;
+  statistics_pass pass = {.matrix = m};
+  btf_status status = BTF_E_NOMEM;
+  if (block_items < unit) block_items = unit;
+  if (block_items > m->items) block_items = m->items;
+  float *block = m->host->alloc(m->ctx, block_items, m->length * sizeof *block);
+  pass.block = block;
+  pass.sums = m->host->alloc(m->ctx, m->rows, sizeof *pass.sums);
+  pass.histogram = m->host->alloc(m->ctx, (uint64_t)threads * BINS, sizeof *pass.histogram);
+  if (block != NULL && pass.sums != NULL && pass.histogram != NULL) {
+    memset(pass.sums, 0, m->rows * sizeof *pass.sums);
+    memset(pass.histogram, 0, (uint64_t)threads * BINS * sizeof *pass.histogram);
+    status = read_all(m, job, from, to, &pass, block, block_items);
+  }
+  if (status == BTF_OK) {
+    out->energy = out->centred_energy = 0.0;
+    for (uint32_t part = 0; part < PARTS; part++) out->energy += pass.energy[part];
+    out->centred_energy = out->energy;
+    for (uint64_t row = 0; row < m->rows; row++) {
+      const double average = pass.sums[row] / (double)m->texels;
+      out->centred_energy -= average * average * (double)m->texels;
+      if (mean != NULL) mean[row] = (float)average;
+    }
+    out->centred_energy = fmax(0.0, out->centred_energy);
+    out->peak = find_peak(&pass, threads, m->rows * m->texels);
+  }
+  m->host->free(m->ctx, block);
+  m->host->free(m->ctx, pass.sums);
+  m->host->free(m->ctx, pass.histogram);
+  return status;
+}
