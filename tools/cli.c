@@ -14,6 +14,7 @@ static const cli_option common_options[] = {
     {"plugin", 0, "PATH", "load the codec module at this absolute path; may be repeated",
      CLI_OPTION_PATH | CLI_OPTION_UNRECORDED},
     {"quiet", 'q', NULL, "no progress bar and no notes", CLI_OPTION_UNRECORDED},
+    {"verbose", 'v', NULL, "print what the library reports on the way", CLI_OPTION_UNRECORDED},
     {"help", 'h', NULL, "show this help", CLI_OPTION_UNRECORDED},
     CLI_OPTIONS_END};
 
@@ -211,6 +212,7 @@ static int parse(cli *c, int argc, char **argv) {
   }
   if (status != EXIT_DONE) return status;
   c->quiet = cli_has(c, "quiet");
+  c->verbose = cli_has(c, "verbose");
   threads = sysconf(_SC_NPROCESSORS_ONLN);
   if (threads < 1) threads = 1;
   if (threads > most_threads) threads = most_threads;

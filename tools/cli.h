@@ -77,7 +77,7 @@ struct cli {
   int operand_count;
   cli_given *given; /* in the order of the command line */
   int given_count;
-  bool quiet;
+  bool quiet, verbose;
   uint32_t threads;     /* --threads; the number of processors unless given */
   btf_context *context; /* made by cli_context */
 };

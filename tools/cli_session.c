@@ -206,9 +206,11 @@ void cli_progress_done(cli *c) {
 /* ---- context ---- */
 
 static void on_log(void *user, int32_t level, btf_status code, const char *message) {
+  const cli *c = user;
   /* Failures come back as statuses and are printed once, by whoever gives up because of them. */
   (void)code;
-  if (level != BTF_LOG_ERROR) cli_note(user, "%s%s", level == BTF_LOG_WARNING ? "warning: " : "", message);
+  if (level == BTF_LOG_WARNING) cli_note(c, "warning: %s", message);
+  if (level == BTF_LOG_INFO && c->verbose) cli_note(c, "%s", message);
 }
 
 int cli_context(cli *c, btf_context **out) {
