@@ -208,6 +208,33 @@ void btfi_fmf_put_sigma(const double *sigma, uint32_t components, unsigned char 
 btf_status btfi_fmf_load(const btf_host *host, btf_context *ctx, uint32_t format,
                          const btf_model_shape *shape, btf_chunk_reader *payload, void **state);
 void btfi_fmf_destroy(const btf_host *host, btf_context *ctx, void *state);
+/* Factors on their way into a payload. */
+typedef struct btfi_fmf_writing {
+  const btf_host *host;
+  btf_context *ctx;
+  btf_chunk_writer *payload;
+  uint32_t views, lights, channels, width, height;
+  double loss;        /* relative growth of the error by packing */
+  double target;      /* squared Frobenius error to reach with as few components as possible, or INFINITY */
+  btfi_fmf_head head; /* given: coding, storage, levels, flags, energy */
+  /* Column k of a side at values[side] + k * length[side]; U orthonormal, V with its singular value. */
+  btfi_fmf_factors factors;
+  float *values[2];
+  double *sigma;
+  double *residual; /* squared error of the first k components at [k] */
+  btfi_fmf_plan plan;
+} btfi_fmf_writing;
+
+/* Room for the factors; freed also after a failure. */
+btf_status btfi_fmf_writing_alloc(btfi_fmf_writing *f, uint32_t components);
+void btfi_fmf_writing_free(btfi_fmf_writing *f);
+/* Squared relative error of rounding both factors, about; it only shifts where the choice of components
+ * begins. */
+double btfi_fmf_storage_floor(uint32_t storage);
+double btfi_fmf_packing_growth(const btfi_fmf_writing *f);
+btf_status btfi_fmf_choose_components(btfi_fmf_writing *f);
+btf_status btfi_fmf_write(btfi_fmf_writing *f);
+
 btf_status btfi_fmf_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
                         const btf_options *options, const btf_job *job, btf_chunk_writer *payload);
 
