@@ -39,6 +39,7 @@ typedef struct bound_kernels {
   const char *isa;
   float (*sum_floats)(const float *src, size_t n);
   float (*sum_halves)(const uint16_t *src, size_t n);
+  float (*sum_rows)(const unsigned char *memory, size_t lines, size_t row_lines, size_t rows);
   float (*multiply_add)(size_t rounds);
   size_t operations_per_round;
 } bound_kernels;
@@ -70,8 +71,44 @@ static float plain_multiply_add(size_t rounds) {
   return total;
 }
 
-static const bound_kernels plain_kernels = {"plain", plain_sum_floats, plain_sum_halves, plain_multiply_add,
-                                            64};
+typedef float cache_line __attribute__((vector_size(64), may_alias));
+enum { line_bytes = sizeof(cache_line), rows_ahead = 8 };
+
+static inline size_t next_row(uint64_t *state, size_t positions) {
+  *state = *state * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+  return (size_t)((*state >> 32) * positions >> 32);
+}
+
+/* Rows of whole cache lines at random places among `lines`. */
+static inline __attribute__((always_inline)) float sum_rows(const unsigned char *memory, size_t lines,
+                                                            size_t row_lines, size_t rows) {
+  const cache_line *all = (const cache_line *)(const void *)memory;
+  const size_t positions = lines - row_lines + 1;
+  cache_line sum = {0}, sum2 = {0};
+  uint64_t now = 1, ahead = 1;
+  float total = 0;
+  for (int i = 0; i < rows_ahead; i++) (void)next_row(&ahead, positions);
+  for (size_t r = 0; r < rows; r++) {
+    const cache_line *row = all + next_row(&now, positions), *later = all + next_row(&ahead, positions);
+    size_t i = 0;
+    for (size_t k = 0; k < row_lines; k++) __builtin_prefetch(later + k, 0, 2);
+    for (; i + 2 <= row_lines; i += 2) {
+      sum += row[i];
+      sum2 += row[i + 1];
+    }
+    if (i < row_lines) sum += row[i];
+  }
+  sum += sum2;
+  for (size_t k = 0; k < line_bytes / sizeof(float); k++) total += sum[k];
+  return total;
+}
+
+static float plain_sum_rows(const unsigned char *memory, size_t lines, size_t row_lines, size_t rows) {
+  return sum_rows(memory, lines, row_lines, rows);
+}
+
+static const bound_kernels plain_kernels = {"plain",        plain_sum_floats,   plain_sum_halves,
+                                            plain_sum_rows, plain_multiply_add, 64};
 
 #if defined(__x86_64__)
 #define AVX2 __attribute__((target("avx2,fma,f16c")))
@@ -174,10 +211,18 @@ AVX512 static float avx512_multiply_add(size_t rounds) {
   return _mm512_reduce_add_ps(total);
 }
 
-static const bound_kernels avx2_kernels = {"avx2", avx2_sum_floats, avx2_sum_halves, avx2_multiply_add,
-                                           2 * 8 * 12};
-static const bound_kernels avx512_kernels = {"avx512", avx512_sum_floats, avx512_sum_halves,
-                                             avx512_multiply_add, 2 * 16 * 16};
+AVX2 static float avx2_sum_rows(const unsigned char *memory, size_t lines, size_t row_lines, size_t rows) {
+  return sum_rows(memory, lines, row_lines, rows);
+}
+AVX512 static float avx512_sum_rows(const unsigned char *memory, size_t lines, size_t row_lines,
+                                    size_t rows) {
+  return sum_rows(memory, lines, row_lines, rows);
+}
+
+static const bound_kernels avx2_kernels = {"avx2",        avx2_sum_floats,   avx2_sum_halves,
+                                           avx2_sum_rows, avx2_multiply_add, 2 * 8 * 12};
+static const bound_kernels avx512_kernels = {"avx512",        avx512_sum_floats,   avx512_sum_halves,
+                                             avx512_sum_rows, avx512_multiply_add, 2 * 16 * 16};
 #endif
 
 static const bound_kernels *kernels(void) {
@@ -222,5 +267,13 @@ void bench_bounds_measure(const bench_buffers *b, bench_bounds *best) {
   started = cli_seconds();
   sink += k->sum_floats((const float *)(const void *)b->large, b->large_size / sizeof(float));
   keep_best(&best->memory_bytes, (double)b->large_size, started);
+  if (b->row_bytes > 0 && b->span / line_bytes >= b->row_bytes / line_bytes + 1) {
+    const size_t row_lines = (b->row_bytes + line_bytes - 1) / line_bytes;
+    const size_t span = b->span < b->large_size ? b->span : b->large_size;
+    const size_t rows = 4000000 / row_lines + 1;
+    started = cli_seconds();
+    sink += k->sum_rows(b->large, span / line_bytes, row_lines, rows);
+    keep_best(&best->random_rows, (double)rows, started);
+  }
   (void)sink;
 }

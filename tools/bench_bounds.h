@@ -12,12 +12,15 @@ typedef struct bench_bounds {
   double float_values; /* floats added up from cache, per second */
   double cache_bytes;  /* read from 256 KiB, per second */
   double memory_bytes; /* read from beyond the caches, per second */
+  double random_rows; /* rows of bench_buffers.row_bytes read in random order from as much memory as the model
+                         has, per second, each prefetched a few rows ahead */
 } bench_bounds;
 
 typedef struct bench_buffers {
   unsigned char *large; /* beyond the caches */
   size_t large_size;
-  unsigned char *small; /* 256 KiB */
+  unsigned char *small;   /* 256 KiB */
+  size_t row_bytes, span; /* set by the caller: size of a row, and of the memory the rows are spread over */
 } bench_buffers;
 
 /* Allocates and touches the buffers; an exit status. */

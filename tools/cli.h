@@ -43,8 +43,8 @@ typedef struct cli_option {
   uint32_t flags;
 } cli_option;
 
-/* Entries of option tables that several commands share. --help, --quiet, --threads and --plugin belong to
- * every command and are not listed. */
+/* Entries of option tables that several commands share. --help, --quiet, --verbose, --threads and --plugin
+ * belong to every command and are not listed. */
 #define CLI_OPTION_OUTPUT(summary)                                                                           \
   { "output", 'o', "PATH", summary, CLI_OPTION_PATH | CLI_OPTION_UNRECORDED }
 #define CLI_OPTION_JSON                                                                                      \

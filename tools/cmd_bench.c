@@ -36,7 +36,7 @@ enum { mode_count = sizeof modes / sizeof *modes };
 
 /* What a query of a factored model costs: rows blended, values converted, operations, bytes. 0 = unknown. */
 typedef struct query_cost {
-  double values, flops, bytes;
+  double values, flops, bytes, rows;
 } query_cost;
 
 typedef struct bench {
@@ -72,22 +72,31 @@ static double stored_value_bytes(const btf_codec *codec, const char *command) {
 }
 
 /* A linear codec of one factor for directions and one for texels keeps a row for each pair of directions and
- * channel and one for each texel of each level: their mean size follows from the memory it may touch. */
-static query_cost cost_of(const bench *b, const eval_mode *mode) {
+ * channel and one for each texel of each level: their mean size follows from the memory it may touch. 0 =
+ * another kind of codec. */
+static double mean_row_bytes(const bench *b) {
   const btf_model_info *m = &b->model;
-  query_cost cost = {0, 0, 0};
-  double texels = 0, row_bytes, direction_rows, texel_rows;
-  if (!(m->caps & BTF_CAP_LINEAR) || m->resident_bytes == 0 || b->value_bytes == 0) return cost;
+  double texels = 0;
+  if (!(m->caps & BTF_CAP_LINEAR) || m->resident_bytes == 0 || b->value_bytes == 0) return 0;
   for (uint32_t level = 0; level < m->levels; level++)
     texels += fmax(1, m->width >> level) * fmax(1, m->height >> level);
-  row_bytes = (double)m->resident_bytes /
-              ((double)btf_dirset_count(m->lights) * btf_dirset_count(m->views) * m->channels + texels);
-  direction_rows = mode->order == BENCH_SHARED ? 0 : (mode->nearest ? 1 : 9) * (double)m->channels;
-  texel_rows = mode->nearest ? 1 : 4;
-  cost.bytes = (direction_rows + texel_rows) * row_bytes;
+  return (double)m->resident_bytes /
+         ((double)btf_dirset_count(m->lights) * btf_dirset_count(m->views) * m->channels + texels);
+}
+
+static query_cost cost_of(const bench *b, const eval_mode *mode) {
+  const uint32_t channels = b->model.channels;
+  const double row_bytes = mean_row_bytes(b);
+  const double direction_rows = mode->order == BENCH_SHARED ? 0 : mode->nearest ? 1 : 9;
+  const double texel_rows = mode->nearest ? 1 : 4;
+  query_cost cost = {0, 0, 0, 0};
+  if (!(row_bytes > 0)) return cost;
+  /* The channels of a pair of directions lie beside each other: one place in memory. */
+  cost.rows = direction_rows + texel_rows / channels;
+  cost.bytes = (direction_rows * channels + texel_rows) * row_bytes;
   cost.values = cost.bytes / b->value_bytes;
   /* A multiply-add for each value blended, and one for each component and channel of the product. */
-  cost.flops = 2 * (cost.values + m->channels * row_bytes / b->value_bytes);
+  cost.flops = 2 * (cost.values + channels * row_bytes / b->value_bytes);
   return cost;
 }
 
@@ -138,6 +147,8 @@ static int measure_evaluation(cli *c, bench *b, const btf_model *model, double s
   bench_queries *queries = calloc((size_t)sets * BENCH_ORDERS, sizeof *queries);
   bench_buffers buffers = {0};
   int failed = queries != NULL ? bench_buffers_create(&buffers) : cli_out_of_memory();
+  buffers.row_bytes = (size_t)(mean_row_bytes(b) * b->model.channels);
+  buffers.span = (size_t)b->model.resident_bytes;
   for (int order = 0; order < BENCH_ORDERS && !failed; order++)
     for (uint32_t t = 0; t < sets && !failed; t++)
       if (!bench_queries_create(order, &b->model, &queries[(uint32_t)order * sets + t]))
@@ -191,9 +202,11 @@ static double conversion_bound(const bench *b, int mode) {
 static double flop_bound(const bench *b, int mode) {
   return b->costs[mode].flops > 0 ? b->bounds.flops / b->costs[mode].flops : 0;
 }
-static double bandwidth_bound(const bench *b, int mode) {
-  const double rate = modes[mode].order == BENCH_RANDOM ? b->bounds.memory_bytes : b->bounds.cache_bytes;
-  return b->costs[mode].bytes > 0 ? rate / b->costs[mode].bytes : 0;
+/* Neighbours find their rows in the cache; random queries find each anywhere in the model. */
+static double memory_bound(const bench *b, int mode) {
+  const query_cost *cost = &b->costs[mode];
+  if (modes[mode].order == BENCH_RANDOM) return cost->rows > 0 ? b->bounds.random_rows / cost->rows : 0;
+  return cost->bytes > 0 ? b->bounds.cache_bytes / cost->bytes : 0;
 }
 
 static void print_report(const cli *c, const bench *b) {
@@ -208,19 +221,23 @@ static void print_report(const cli *c, const bench *b) {
   printf("  floats                  %8.1f Gvalues/s\n", k->float_values * 1e-9);
   printf("  cache read (256 KiB)    %8.1f GB/s\n", k->cache_bytes * 1e-9);
   printf("  memory read             %8.1f GB/s\n", k->memory_bytes * 1e-9);
+  if (k->random_rows > 0)
+    printf("  random rows in %.1f MiB %9.1f Mrows/s of %.0f bytes\n",
+           (double)b->model.resident_bytes / 1048576, k->random_rows * 1e-6,
+           mean_row_bytes(b) * b->model.channels);
   if (b->encode_seconds > 0)
     printf("encode                    %8.2f s, %.1f MB/s of raw samples, %" PRIu32 " threads\n",
            b->encode_seconds, b->raw_bytes * 1e-6 / b->encode_seconds, c->threads);
   printf("open and first query      %8.3f ms, %.3f ms without checksums of mapped chunks\n",
          1e3 * b->open_seconds, 1e3 * b->trusted_open_seconds);
-  printf("evaluation, one core        million queries/s   bounds: conversion   multiply-add   bandwidth\n");
+  printf("evaluation, one core        million queries/s   bounds: conversion   multiply-add   memory\n");
   for (int i = 0; i < mode_count; i++) {
     printf("  %-27s %14.3f", modes[i].name, b->rates[i] * 1e-6);
     if (modes[i].all_threads)
       printf("      (%" PRIu32 " threads)", c->threads);
     else if (b->costs[i].values > 0)
       printf("   %26.2f %14.2f %11.2f", 1e-6 * conversion_bound(b, i), 1e-6 * flop_bound(b, i),
-             1e-6 * bandwidth_bound(b, i));
+             1e-6 * memory_bound(b, i));
     putchar('\n');
   }
 }
@@ -241,6 +258,8 @@ static void write_report(const cli *c, const bench *b) {
   json_number(&j, "float_values", b->bounds.float_values);
   json_number(&j, "cache_bytes", b->bounds.cache_bytes);
   json_number(&j, "memory_bytes", b->bounds.memory_bytes);
+  json_number(&j, "random_rows", b->bounds.random_rows > 0 ? b->bounds.random_rows : NAN);
+  json_number(&j, "row_bytes", b->bounds.random_rows > 0 ? mean_row_bytes(b) * b->model.channels : NAN);
   json_close(&j, '}');
   json_number(&j, "encode_seconds", b->encode_seconds > 0 ? b->encode_seconds : NAN);
   json_number(&j, "encode_raw_bytes_per_second",
@@ -256,7 +275,7 @@ static void write_report(const cli *c, const bench *b) {
     json_number(&j, "queries_per_second", b->rates[i]);
     json_number(&j, "conversion_bound", known ? conversion_bound(b, i) : NAN);
     json_number(&j, "multiply_add_bound", known ? flop_bound(b, i) : NAN);
-    json_number(&j, "bandwidth_bound", known ? bandwidth_bound(b, i) : NAN);
+    json_number(&j, "memory_bound", known ? memory_bound(b, i) : NAN);
     json_close(&j, '}');
   }
   json_close(&j, ']');
