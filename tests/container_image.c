@@ -143,12 +143,17 @@ void image_put(image *im, size_t offset, int bytes, uint64_t value) {
   for (int i = 0; i < bytes; i++) im->bytes[offset + (size_t)i] = (unsigned char)(value >> 8 * i);
 }
 
-uint32_t image_chunks(const image *im) { return (uint32_t)image_get(im, 20, 4); }
-size_t image_entry(const image *im, uint32_t i) { return (size_t)image_get(im, 24, 8) + (size_t)i * ENTRY; }
+uint32_t image_chunks(const image *im) {
+  return (uint32_t)image_get(im, 20, 4);
+}
+size_t image_entry(const image *im, uint32_t i) {
+  return (size_t)image_get(im, 24, 8) + (size_t)i * ENTRY;
+}
 
 uint32_t image_find(const image *im, uint32_t type, uint32_t tag) {
   for (uint32_t i = 0; i < image_chunks(im); i++)
-    if (image_get(im, image_entry(im, i), 4) == type && (tag == 0 || image_get(im, image_entry(im, i) + 4, 4) == tag))
+    if (image_get(im, image_entry(im, i), 4) == type &&
+        (tag == 0 || image_get(im, image_entry(im, i) + 4, 4) == tag))
       return i;
   fail_msg("no chunk of type %08x", type);
   return 0;
@@ -173,11 +178,13 @@ void image_put_entry(image *im, uint32_t i, size_t field, int bytes, uint64_t va
 
 void image_repair_chunk(image *im, uint32_t i) {
   const size_t entry = image_entry(im, i);
-  image_put_entry(im, i, 48, 8,
-                  btfi_xxh64_of(im->bytes + image_get(im, entry + 24, 8), (size_t)image_get(im, entry + 32, 8)));
+  image_put_entry(
+      im, i, 48, 8,
+      btfi_xxh64_of(im->bytes + image_get(im, entry + 24, 8), (size_t)image_get(im, entry + 32, 8)));
 }
 
-void image_replace_chunk(image *im, uint32_t i, const void *stored, size_t size, uint32_t method, uint64_t raw) {
+void image_replace_chunk(image *im, uint32_t i, const void *stored, size_t size, uint32_t method,
+                         uint64_t raw) {
   const size_t entry = image_entry(im, i), offset = (size_t)image_get(im, entry + 24, 8);
   const size_t old_end = (offset + (size_t)image_get(im, entry + 32, 8) + 63) & ~(size_t)63;
   const size_t new_end = (offset + size + 63) & ~(size_t)63, rest = im->size - old_end;
@@ -222,8 +229,10 @@ btf_status image_read_all(btf_context *ctx, image *im, int with_map) {
   for (uint32_t i = 0; i < btf_file_model_count(file) && status == BTF_OK; i++) {
     btf_model *model;
     status = btf_file_load_model(file, i, &model);
-    if (status == BTF_OK) btf_model_eval(model, &query, values);
-    else assert_null(model);
+    if (status == BTF_OK)
+      btf_model_eval(model, &query, values);
+    else
+      assert_null(model);
     btf_model_release(model);
   }
   btf_file_close(file);

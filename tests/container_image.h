@@ -21,7 +21,8 @@ void image_free(image *im);
 btf_io image_sink(image *im);
 btf_io image_source(image *im, int with_map);
 
-/* Fits a copy_codec model ("plain" or "packed" storage) of width x height texels and writes it with metadata. */
+/* Fits a copy_codec model ("plain" or "packed" storage) of width x height texels and writes it with metadata.
+ */
 void image_of_model(btf_context *ctx, image *im, const char *storage, uint32_t width, uint32_t height,
                     uint32_t channels);
 void image_register_codecs(btf_context *ctx);
@@ -41,7 +42,8 @@ void image_put_entry(image *im, uint32_t i, size_t field, int bytes, uint64_t va
 void image_repair_chunk(image *im, uint32_t i);
 void image_repair(image *im); /* directory, footer and header checksums */
 /* Replaces the stored bytes of chunk i by `size` others; method and raw size are set as given. */
-void image_replace_chunk(image *im, uint32_t i, const void *bytes, size_t size, uint32_t method, uint64_t raw);
+void image_replace_chunk(image *im, uint32_t i, const void *bytes, size_t size, uint32_t method,
+                         uint64_t raw);
 
 /* Opens, validates, loads and evaluates everything; the first status that is not BTF_OK. */
 btf_status image_read_all(btf_context *ctx, image *im, int with_map);

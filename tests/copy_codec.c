@@ -15,21 +15,22 @@ typedef struct copy_state {
   float gain;
 } copy_state;
 
-static const btf_param_desc gain = {
-    sizeof gain, "gain", "Factor of every sample.", NULL, "1", NULL, 0.0, 10.0, BTF_PARAM_FLOAT, 0};
+static const btf_param_desc gain = {sizeof gain, "gain", "Factor of every sample.", NULL, "1", NULL,
+                                    0.0,         10.0,   BTF_PARAM_FLOAT,           0};
 static const btf_param_desc rounds = {
     sizeof rounds, "rounds", "How often progress is told.", NULL, "3", NULL, 1.0, 1024.0, BTF_PARAM_INT, 0};
 static const btf_param_desc blocked = {
     sizeof blocked, "blocked", "Read view by view.", NULL, "false", NULL, 0.0, 0.0, BTF_PARAM_BOOL, 0};
 static const char *const storages[] = {"plain", "packed", NULL};
 static const btf_param_desc storage = {
-    sizeof storage, "storage", "How samples are stored.", NULL, "plain", storages, 0.0, 0.0, BTF_PARAM_CHOICE, 0};
-static const btf_param_desc note = {
-    sizeof note, "note", "Kept by nobody.", NULL, "", NULL, 0.0, 0.0, BTF_PARAM_STRING, 0};
+    sizeof storage,   "storage", "How samples are stored.", NULL, "plain", storages, 0.0, 0.0,
+    BTF_PARAM_CHOICE, 0};
+static const btf_param_desc note = {sizeof note, "note", "Kept by nobody.", NULL, "", NULL,
+                                    0.0,         0.0,    BTF_PARAM_STRING,  0};
 static const btf_param_desc *const params[] = {&gain, &rounds, &blocked, &storage, &note, NULL};
 
-static btf_status copy_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds, const btf_options *options,
-                           const btf_job *job, btf_chunk_writer *payload) {
+static btf_status copy_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
+                           const btf_options *options, const btf_job *job, btf_chunk_writer *payload) {
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   const int plain = host->option(options, "storage") == 0.0;
   const uint32_t stages = (uint32_t)host->option(options, "rounds");
@@ -40,8 +41,8 @@ static btf_status copy_fit(const btf_host *host, btf_context *ctx, const btf_dat
   void *samples;
   btf_status status = host->dataset_describe(ds, &desc);
   if (status != BTF_OK) return status;
-  block = (btf_block){0, host->dirset_count(desc.views), 0, host->dirset_count(desc.lights),
-                      0, 0, desc.width, desc.height};
+  block = (btf_block){
+      0, host->dirset_count(desc.views), 0, host->dirset_count(desc.lights), 0, 0, desc.width, desc.height};
   strides.channel = 4;
   strides.x = 4 * (ptrdiff_t)desc.channels;
   strides.y = strides.x * (ptrdiff_t)desc.width;
@@ -57,7 +58,8 @@ static btf_status copy_fit(const btf_host *host, btf_context *ctx, const btf_dat
   if (host->option(options, "blocked") != 0.0) {
     const uint32_t views = block.views;
     for (block.view0 = 0, block.views = 1; block.view0 < views && status == BTF_OK; block.view0++)
-      status = host->dataset_read(ds, &block, (float *)((char *)samples + block.view0 * strides.view), &strides);
+      status =
+          host->dataset_read(ds, &block, (float *)((char *)samples + block.view0 * strides.view), &strides);
   } else {
     status = host->dataset_read(ds, &block, samples, &strides);
   }
@@ -69,8 +71,8 @@ static btf_status copy_fit(const btf_host *host, btf_context *ctx, const btf_dat
   return status;
 }
 
-static btf_status copy_load(const btf_host *host, btf_context *ctx, uint32_t format, const btf_model_shape *shape,
-                            btf_chunk_reader *payload, void **state) {
+static btf_status copy_load(const btf_host *host, btf_context *ctx, uint32_t format,
+                            const btf_model_shape *shape, btf_chunk_reader *payload, void **state) {
   const uint64_t expected = (uint64_t)host->dirset_count(shape->views) * host->dirset_count(shape->lights) *
                             shape->width * shape->height * shape->channels * 4;
   const void *samples, *factor;
@@ -81,8 +83,8 @@ static btf_status copy_load(const btf_host *host, btf_context *ctx, uint32_t for
   if (status == BTF_OK) status = host->get(payload, TAG_GAIN, 0, &factor, &factor_size);
   if (status != BTF_OK) return status;
   if (size != expected || factor_size != 4)
-    return host->fail(ctx, BTF_E_CORRUPT, "copy: %llu bytes of samples; expected %llu", (unsigned long long)size,
-                      (unsigned long long)expected);
+    return host->fail(ctx, BTF_E_CORRUPT, "copy: %llu bytes of samples; expected %llu",
+                      (unsigned long long)size, (unsigned long long)expected);
   if (!host->has(payload, TAG_GAIN, 7) || host->has(payload, TAG_GAIN, 8))
     return host->fail(ctx, BTF_E_CORRUPT, "copy: the empty chunk is missing");
   s = host->alloc(ctx, 1, sizeof *s);
@@ -95,12 +97,16 @@ static btf_status copy_load(const btf_host *host, btf_context *ctx, uint32_t for
   return BTF_OK;
 }
 
-static void copy_destroy(const btf_host *host, btf_context *ctx, void *state) { host->free(ctx, state); }
-static uint32_t copy_levels(const void *state) { return state != NULL ? 1u : 0u; }
+static void copy_destroy(const btf_host *host, btf_context *ctx, void *state) {
+  host->free(ctx, state);
+}
+static uint32_t copy_levels(const void *state) {
+  return state != NULL ? 1u : 0u;
+}
 static uint64_t copy_resident(const void *state) {
   const copy_state *s = state;
-  return (uint64_t)s->host->dirset_count(s->shape.views) * s->host->dirset_count(s->shape.lights) * s->shape.width *
-         s->shape.height * s->shape.channels * 4;
+  return (uint64_t)s->host->dirset_count(s->shape.views) * s->host->dirset_count(s->shape.lights) *
+         s->shape.width * s->shape.height * s->shape.channels * 4;
 }
 
 static void fetch(const copy_state *s, uint32_t x, uint32_t y, uint32_t light, uint32_t view, float *out,
@@ -114,8 +120,9 @@ static void fetch(const copy_state *s, uint32_t x, uint32_t y, uint32_t light, u
 static void copy_eval(const void *state, const btf_query *q, float *out) {
   const copy_state *s = state;
   fetch(s, btf_sampling_nearest(q->uv[0], s->shape.width, s->shape.wrap),
-        btf_sampling_nearest(q->uv[1], s->shape.height, s->shape.wrap), s->host->dirset_nearest(s->shape.lights, q->light),
-        s->host->dirset_nearest(s->shape.views, q->view), out, 1);
+        btf_sampling_nearest(q->uv[1], s->shape.height, s->shape.wrap),
+        s->host->dirset_nearest(s->shape.lights, q->light), s->host->dirset_nearest(s->shape.views, q->view),
+        out, 1);
 }
 
 static void copy_eval_n(const void *state, const btf_batch *b, float *const *out) {
@@ -126,25 +133,30 @@ static void copy_eval_n(const void *state, const btf_batch *b, float *const *out
     float values[64];
     fetch(s, btf_sampling_nearest(b->uv[0][i], s->shape.width, s->shape.wrap),
           btf_sampling_nearest(b->uv[1][i], s->shape.height, s->shape.wrap),
-          s->host->dirset_nearest(s->shape.lights, light), s->host->dirset_nearest(s->shape.views, view), values, 1);
+          s->host->dirset_nearest(s->shape.lights, light), s->host->dirset_nearest(s->shape.views, view),
+          values, 1);
     for (uint32_t c = 0; c < s->shape.channels; c++) out[c][i] = values[c];
   }
 }
 
-static void copy_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view,
-                       float *out) {
+static void copy_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
+                       uint32_t view, float *out) {
   (void)level;
   fetch(state, x, y, light, view, out, 1);
 }
 
 #define COPY_CODEC(id_, caps_, eval_n_)                                                                      \
-  {sizeof(btf_codec_vtbl), LIBBTF_ABI, id_, "Keeps every sample", "1", caps_, params, 1, 2, copy_fit,        \
-   copy_load, copy_destroy, copy_levels, copy_resident, copy_eval, eval_n_, copy_texel}
+  {                                                                                                          \
+    sizeof(btf_codec_vtbl), LIBBTF_ABI, id_, "Keeps every sample", "1", caps_, params, 1, 2, copy_fit,       \
+        copy_load, copy_destroy, copy_levels, copy_resident, copy_eval, eval_n_, copy_texel                  \
+  }
 
 const btf_codec_vtbl copy_codec = COPY_CODEC("org.libbtf.copy", BTF_CAP_FIT | BTF_CAP_BATCH, copy_eval_n);
 const btf_codec_vtbl copy_codec_single = COPY_CODEC("org.libbtf.copy1", BTF_CAP_FIT, NULL);
 
-const float *copy_codec_samples(const void *state) { return ((const copy_state *)state)->samples; }
+const float *copy_codec_samples(const void *state) {
+  return ((const copy_state *)state)->samples;
+}
 
 /* ---- data ---- */
 
@@ -167,13 +179,16 @@ static btf_status read_block(void *user, const btf_block *block, void *dst, cons
             const float value =
                 copy_codec_sample(block->view0 + v, block->light0 + l, block->x0 + x, block->y0 + y, c);
             memcpy((char *)dst + (ptrdiff_t)v * strides->view + (ptrdiff_t)l * strides->light +
-                       (ptrdiff_t)y * strides->y + (ptrdiff_t)x * strides->x + (ptrdiff_t)c * strides->channel,
+                       (ptrdiff_t)y * strides->y + (ptrdiff_t)x * strides->x +
+                       (ptrdiff_t)c * strides->channel,
                    &value, sizeof value);
           }
   return BTF_OK;
 }
 
-static void release_source(void *user) { free(user); }
+static void release_source(void *user) {
+  free(user);
+}
 
 btf_dataset *copy_codec_dataset(btf_context *ctx, uint32_t width, uint32_t height, uint32_t channels,
                                 uint32_t quantity) {

@@ -100,7 +100,8 @@ static void same_input_same_bytes(void **state) {
   image first, second;
   (void)state;
   for (int packed = 0; packed < 2; packed++) {
-    btf_context *one = test_context_with(&memory[0], "scalar", 1), *many = test_context_with(&memory[1], NULL, 7);
+    btf_context *one = test_context_with(&memory[0], "scalar", 1),
+                *many = test_context_with(&memory[1], NULL, 7);
     image_of_model(one, &first, packed ? "packed" : "plain", 16, 8, 3);
     image_of_model(many, &second, packed ? "packed" : "plain", 16, 8, 3);
     assert_int_equal(first.size, second.size);
@@ -242,8 +243,10 @@ static void every_write_fails_once(void **state) {
     }
     assert_int_equal(im.closes, 1);
     assert_int_equal(im.failed_closes, status != BTF_OK);
-    if (status != BTF_OK) assert_int_equal(status, BTF_E_IO);
-    else assert_true(im.writes < n);
+    if (status != BTF_OK)
+      assert_int_equal(status, BTF_E_IO);
+    else
+      assert_true(im.writes < n);
     image_free(&im);
   } while (status != BTF_OK);
   assert_true(n > 20);
@@ -508,7 +511,8 @@ static void unknown_things_are_kept(void **state) {
                       im.bytes + image_get(&im, image_entry(&im, meta) + 24, 8),
                       (size_t)image_get(&im, image_entry(&im, meta) + 32, 8));
   assert_ok(image_read_all(ctx, &copy, 0));
-  /* Two chunks of the same unknown name cannot both be kept, and dropping one would be worse than refusing. */
+  /* Two chunks of the same unknown name cannot both be kept, and dropping one would be worse than refusing.
+   */
   image_init(&twice);
   io = image_sink(&twice);
   assert_ok(btf_writer_open(ctx, &io, 0, &w));
@@ -597,14 +601,14 @@ static void metadata_rules(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(description_comes_back),     cmocka_unit_test(packed_chunks_shrink),
-      cmocka_unit_test(same_input_same_bytes),      cmocka_unit_test(every_bit_flip),
-      cmocka_unit_test(every_truncation),           cmocka_unit_test(validation_names_the_place),
-      cmocka_unit_test(every_write_fails_once),     cmocka_unit_test(close_that_fails),
-      cmocka_unit_test(every_read_fails_once),      cmocka_unit_test(sources_without_map_or_size),
-      cmocka_unit_test(unaligned_memory),           cmocka_unit_test(trusted_payload_is_not_read),
-      cmocka_unit_test(copy_is_the_same),           cmocka_unit_test(two_files_become_one),
-      cmocka_unit_test(unknown_things_are_kept),    cmocka_unit_test(damage_does_not_get_copied),
+      cmocka_unit_test(description_comes_back),  cmocka_unit_test(packed_chunks_shrink),
+      cmocka_unit_test(same_input_same_bytes),   cmocka_unit_test(every_bit_flip),
+      cmocka_unit_test(every_truncation),        cmocka_unit_test(validation_names_the_place),
+      cmocka_unit_test(every_write_fails_once),  cmocka_unit_test(close_that_fails),
+      cmocka_unit_test(every_read_fails_once),   cmocka_unit_test(sources_without_map_or_size),
+      cmocka_unit_test(unaligned_memory),        cmocka_unit_test(trusted_payload_is_not_read),
+      cmocka_unit_test(copy_is_the_same),        cmocka_unit_test(two_files_become_one),
+      cmocka_unit_test(unknown_things_are_kept), cmocka_unit_test(damage_does_not_get_copied),
       cmocka_unit_test(metadata_rules),
   };
   return btf_run("container", tests);

@@ -8,13 +8,26 @@
 
 #include <zstd.h>
 
-enum { TYPE_DATA = BTF_TAG('D', 'A', 'T', 'A'), TYPE_MODEL = BTF_TAG('M', 'O', 'D', 'L'),
-       TYPE_DIRS = BTF_TAG('D', 'I', 'R', 'S'), TYPE_META = BTF_TAG('M', 'E', 'T', 'A'),
-       TAG_SAMPLES = BTF_TAG('S', 'M', 'P', 'L') };
+enum {
+  TYPE_DATA = BTF_TAG('D', 'A', 'T', 'A'),
+  TYPE_MODEL = BTF_TAG('M', 'O', 'D', 'L'),
+  TYPE_DIRS = BTF_TAG('D', 'I', 'R', 'S'),
+  TYPE_META = BTF_TAG('M', 'E', 'T', 'A'),
+  TAG_SAMPLES = BTF_TAG('S', 'M', 'P', 'L')
+};
 
 /* Fields of an entry. */
-enum { E_TYPE = 0, E_TAG = 4, E_INDEX = 8, E_FLAGS = 12, E_MODEL = 16, E_METHOD = 20, E_OFFSET = 24, E_STORED = 32,
-       E_RAW = 40 };
+enum {
+  E_TYPE = 0,
+  E_TAG = 4,
+  E_INDEX = 8,
+  E_FLAGS = 12,
+  E_MODEL = 16,
+  E_METHOD = 20,
+  E_OFFSET = 24,
+  E_STORED = 32,
+  E_RAW = 40
+};
 
 typedef struct fixture {
   test_memory memory;
@@ -33,7 +46,8 @@ static void end(fixture *f) {
   test_context_done(f->ctx, &f->memory);
 }
 
-/* Reads the image and expects a status, without more than 1 MiB of memory on the way, and puts the bytes back. */
+/* Reads the image and expects a status, without more than 1 MiB of memory on the way, and puts the bytes
+ * back. */
 static void expect(fixture *f, btf_status expected, const char *part) {
   uint64_t peak_before, peak_after;
   test_memory fresh_memory;
@@ -117,7 +131,8 @@ static void header_fields(void **state) {
 }
 
 static void short_files_of_other_kinds(void **state) {
-  static const char *const texts[] = {"x", "hello", "not a container at all, and yet longer than a signature"};
+  static const char *const texts[] = {"x", "hello",
+                                      "not a container at all, and yet longer than a signature"};
   test_memory memory;
   btf_context *ctx = test_context(&memory);
   (void)state;
@@ -143,8 +158,9 @@ static void entry_fields(void **state) {
   assert_non_null(saved);
   memcpy(saved, f.im.bytes, f.im.size);
   {
-    const uint32_t samples = image_find(&f.im, TYPE_DATA, TAG_SAMPLES), model = image_find(&f.im, TYPE_MODEL, 0),
-                   dirs = image_find(&f.im, TYPE_DIRS, 0), meta = image_find(&f.im, TYPE_META, 0);
+    const uint32_t samples = image_find(&f.im, TYPE_DATA, TAG_SAMPLES),
+                   model = image_find(&f.im, TYPE_MODEL, 0), dirs = image_find(&f.im, TYPE_DIRS, 0),
+                   meta = image_find(&f.im, TYPE_META, 0);
     const struct {
       uint32_t chunk;
       change c;
@@ -297,8 +313,11 @@ static void direction_sets(void **state) {
   at = (size_t)image_get(&f.im, image_entry(&f.im, dirs) + E_OFFSET, 8);
   memcpy(xyz, f.im.bytes + at, sizeof xyz);
   {
-    const float wrong[][3] = {
-        {0.6f, 0.0f, -0.8f}, {0.6f, 0.0f, 0.7f}, {NAN, 0.0f, 1.0f}, {xyz[3], xyz[4], xyz[5]}, {0.0f, 0.0f, INFINITY}};
+    const float wrong[][3] = {{0.6f, 0.0f, -0.8f},
+                              {0.6f, 0.0f, 0.7f},
+                              {NAN, 0.0f, 1.0f},
+                              {xyz[3], xyz[4], xyz[5]},
+                              {0.0f, 0.0f, INFINITY}};
     for (size_t i = 0; i < sizeof wrong / sizeof *wrong; i++) {
       memcpy(f.im.bytes + at, wrong[i], sizeof wrong[i]);
       image_repair_chunk(&f.im, dirs);
@@ -413,10 +432,12 @@ static void packed_payload(void **state) {
   end(&f);
 }
 
-/* A few bytes that honestly unpack to very much stop at the limits of the context, not at those of the machine. */
+/* A few bytes that honestly unpack to very much stop at the limits of the context, not at those of the
+ * machine. */
 static void expanding_payload(void **state) {
-  static const unsigned char huge[] = {0x28, 0xb5, 0x2f, 0xfd, 0xe0,       /* zstd, 8 byte content size follows */
-                                       0, 0, 0, 0, 2, 0, 0, 0, 1, 0, 0}; /* 2^33; an empty last block */
+  static const unsigned char huge[] = {0x28, 0xb5, 0x2f, 0xfd, 0xe0, /* zstd, 8 byte content size follows */
+                                       0,    0,    0,    0,    2,    0,
+                                       0,    0,    1,    0,    0}; /* 2^33; an empty last block */
   btf_limits limits = BTF_LIMITS_INIT;
   btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
   fixture f;
@@ -493,10 +514,10 @@ static void unknown_codec(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(header_fields),       cmocka_unit_test(short_files_of_other_kinds),
-      cmocka_unit_test(entry_fields),        cmocka_unit_test(model_header_fields),
-      cmocka_unit_test(direction_sets),      cmocka_unit_test(metadata_chunks),
-      cmocka_unit_test(packed_payload),      cmocka_unit_test(expanding_payload),
+      cmocka_unit_test(header_fields),         cmocka_unit_test(short_files_of_other_kinds),
+      cmocka_unit_test(entry_fields),          cmocka_unit_test(model_header_fields),
+      cmocka_unit_test(direction_sets),        cmocka_unit_test(metadata_chunks),
+      cmocka_unit_test(packed_payload),        cmocka_unit_test(expanding_payload),
       cmocka_unit_test(limits_of_the_context), cmocka_unit_test(unknown_codec),
   };
   return btf_run("container_hostile", tests);

@@ -37,7 +37,8 @@ static void save_and_load(void **state) {
   btf_context *ctx = test_context(&memory);
   (void)state;
   for (int packed = 0; packed < 2; packed++) {
-    btf_model *model = fit(ctx, &copy_codec, 3, BTF_QUANTITY_BRDF, packed ? "packed" : "plain"), *loaded, *again;
+    btf_model *model = fit(ctx, &copy_codec, 3, BTF_QUANTITY_BRDF, packed ? "packed" : "plain"), *loaded,
+              *again;
     btf_model_info info = BTF_MODEL_INFO_INIT;
     struct stat file;
     float expected[3], got[3];
@@ -179,10 +180,14 @@ static void values_and_cosines(void **state) {
       for (int c = 0; c < 3; c++) {
         assert_true(stored[c] > 0.0f);
         /* One multiplication by a rounded reciprocal: 2^-23 at most. */
-        if (cosine) assert_relative(f[c], stored[c] / divisor, 1.2e-7);
-        else assert_true(f[c] == stored[c]);
-        if (cosine) assert_true(times[c] == stored[c]);
-        else assert_true(times[c] == stored[c] * z);
+        if (cosine)
+          assert_relative(f[c], stored[c] / divisor, 1.2e-7);
+        else
+          assert_true(f[c] == stored[c]);
+        if (cosine)
+          assert_true(times[c] == stored[c]);
+        else
+          assert_true(times[c] == stored[c] * z);
       }
       btf_model_eval_as(model, &query, 7, f);
       assert_true(f[0] == 0.0f);
@@ -199,7 +204,8 @@ static btf_query odd_query(uint32_t i) {
   btf_query q = {{cosf(a) * sqrtf(1.0f - z * z), sinf(a) * sqrtf(1.0f - z * z), z},
                  {sinf(a) * 0.6f, cosf(a) * 0.6f, 0.8f},
                  {0.013f * (float)i, 3.0f - 0.031f * (float)i},
-                 (float)(i % 5) * 0.5f, 0};
+                 (float)(i % 5) * 0.5f,
+                 0};
   float *members[9] = {&q.light[0], &q.light[1], &q.light[2], &q.view[0], &q.view[1],
                        &q.view[2],  &q.uv[0],    &q.uv[1],    &q.lod};
   if (i % 3 == 0) *members[i / 3 % 9] = odd[i / 27 % 9];
@@ -318,8 +324,8 @@ static void wild_eval(const void *state, const btf_query *query, float *out) {
   out[1] = INFINITY;
   out[2] = -1e38f;
 }
-static void wild_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view,
-                       float *out) {
+static void wild_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
+                       uint32_t view, float *out) {
   (void)level, (void)x, (void)y, (void)light, (void)view;
   wild_eval(state, NULL, out);
 }
@@ -414,8 +420,8 @@ static void sampling(void **state) {
     mean_z += light[2] / (double)(SIDE * SIDE);
     inverse += (double)light[2] / pdf / (SIDE * SIDE);
   }
-  /* Moments of the cosine-weighted hemisphere: E[z] = 2/3 (midpoint rule: error below SIDE^-1.5 at the square root's
-   * end), and cos / pdf is pi everywhere. */
+  /* Moments of the cosine-weighted hemisphere: E[z] = 2/3 (midpoint rule: error below SIDE^-1.5 at the square
+   * root's end), and cos / pdf is pi everywhere. */
   assert_near(mean_z, 2.0 / 3.0, 5e-4);
   assert_near(inverse, pi, 1e-5);
   assert_true(btf_model_sample(model, &query, wrong, light, weight) == 0.0f && weight[0] == 0.0f);

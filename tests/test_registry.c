@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* The registry's door, options, and plug-ins by path. TEST_MEAN_PLUGIN is the example's module, TEST_PLUGINS the
- * folder of those that must be refused. */
+/* The registry's door, options, and plug-ins by path. TEST_MEAN_PLUGIN is the example's module, TEST_PLUGINS
+ * the folder of those that must be refused. */
 #include "btf_test.h"
 
 #include <locale.h>
@@ -24,8 +24,8 @@ static void expect_refusal(const btf_codec_vtbl *v, btf_status expected, const c
   const uint32_t before = btf_codec_count(ctx);
   const btf_status status = btf_context_register(ctx, v);
   if (status != expected)
-    fail_msg("%s instead of %s: %s (%s)", btf_status_name(status), btf_status_name(expected), btf_error_message(),
-             part);
+    fail_msg("%s instead of %s: %s (%s)", btf_status_name(status), btf_status_name(expected),
+             btf_error_message(), part);
   if (expected != BTF_OK) assert_message_has(part);
   assert_int_equal(btf_codec_count(ctx), before + (expected == BTF_OK));
   test_context_done(ctx, &memory);
@@ -75,9 +75,11 @@ static void door(void **state) {
 }
 
 static void parameters(void **state) {
-  static const char *const choices[] = {"a", "b", NULL}, *const repeated[] = {"a", "a", NULL}, *const none[] = {NULL};
+  static const char *const choices[] = {"a", "b", NULL}, *const repeated[] = {"a", "a", NULL},
+                           *const none[] = {NULL};
   const btf_param_desc number = {sizeof number, "size", "A size.", NULL, "3", NULL, 1, 5, BTF_PARAM_INT, 0};
-  const btf_param_desc choice = {sizeof choice, "mode", "A mode.", NULL, "b", choices, 0, 0, BTF_PARAM_CHOICE, 0};
+  const btf_param_desc choice = {sizeof choice,    "mode", "A mode.", NULL, "b", choices, 0, 0,
+                                 BTF_PARAM_CHOICE, 0};
   btf_param_desc one, two;
   const btf_param_desc *list[] = {&one, &two, NULL};
   btf_codec_vtbl v = good();
@@ -219,7 +221,8 @@ static void options(void **state) {
 
 /* ---- plug-ins ---- */
 
-/* A rank-1 material, which the mean codec reproduces: the product of something of x, y and of something of light, view. */
+/* A rank-1 material, which the mean codec reproduces: the product of something of x, y and of something of
+ * light, view. */
 static btf_status read_separable(void *user, const btf_block *b, void *dst, const btf_strides *s) {
   (void)user;
   for (uint32_t v = 0; v < b->views; v++)
@@ -255,12 +258,17 @@ static void use_mean_codec(btf_context *ctx) {
   assert_ok(btf_model_load(ctx, test_path("mean.btfz"), &loaded));
   for (uint32_t i = 0; i < 4 * 3 * 8 * 8; i++) {
     const uint32_t x = i % 4, y = i / 4 % 3, light = i / 12 % 8, view = i / 96;
-    const float expected = (1.0f + (float)x) * (2.0f + (float)y) * (1.0f + 0.5f * (float)light) * (3.0f + (float)view);
+    const float expected =
+        (1.0f + (float)x) * (2.0f + (float)y) * (1.0f + 0.5f * (float)light) * (3.0f + (float)view);
     const float *l = btf_dirset_directions(set) + 3 * light, *v = btf_dirset_directions(set) + 3 * view;
-    const btf_query query = {{l[0], l[1], l[2]}, {v[0], v[1], v[2]}, {((float)x + 0.5f) / 4.0f, ((float)y + 0.5f) / 3.0f},
-                             0.0f, 0};
+    const btf_query query = {{l[0], l[1], l[2]},
+                             {v[0], v[1], v[2]},
+                             {((float)x + 0.5f) / 4.0f, ((float)y + 0.5f) / 3.0f},
+                             0.0f,
+                             0};
     float got, again;
-    /* Two factors rounded to floats and their rounded product: at most 2^-22; interpolation adds as much again. */
+    /* Two factors rounded to floats and their rounded product: at most 2^-22; interpolation adds as much
+     * again. */
     btf_model_texel(loaded, 0, x, y, light, view, &got);
     assert_relative(got, expected, 5e-7);
     btf_model_eval(loaded, &query, &got);
@@ -385,8 +393,10 @@ static void out_of_memory(void **state) {
     btf_status status;
     memory.fail_at = memory.total_allocations + n;
     status = btf_context_register(ctx, &copy_codec);
-    if (status == BTF_OK) status = btf_context_load_plugin(ctx, TEST_MEAN_PLUGIN);
-    else assert_int_equal(btf_codec_count(ctx), before);
+    if (status == BTF_OK)
+      status = btf_context_load_plugin(ctx, TEST_MEAN_PLUGIN);
+    else
+      assert_int_equal(btf_codec_count(ctx), before);
     if (status == BTF_OK) status = btf_options_create(btf_codec_find(ctx, copy_codec.id), &o);
     if (status == BTF_OK) status = btf_options_set(o, "gain", "2");
     if (status != BTF_OK) assert_int_equal(status, BTF_E_NOMEM);
@@ -401,9 +411,15 @@ static void out_of_memory(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(door),           cmocka_unit_test(parameters),         cmocka_unit_test(codecs_describe_themselves),
-      cmocka_unit_test(options),        cmocka_unit_test(example_registered), cmocka_unit_test(example_loaded),
-      cmocka_unit_test(refused_modules), cmocka_unit_test(refused_paths),     cmocka_unit_test(out_of_memory),
+      cmocka_unit_test(door),
+      cmocka_unit_test(parameters),
+      cmocka_unit_test(codecs_describe_themselves),
+      cmocka_unit_test(options),
+      cmocka_unit_test(example_registered),
+      cmocka_unit_test(example_loaded),
+      cmocka_unit_test(refused_modules),
+      cmocka_unit_test(refused_paths),
+      cmocka_unit_test(out_of_memory),
   };
   return btf_run("registry", tests);
 }

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: MIT */
 /*
- * A codec as a plug-in, in full. "org.example.mean" keeps two averages of a material, its mean colour at each texel and its
- * mean reflectance for each pair of light and view, and evaluates their product: the best one can do without any
- * interplay of texture and direction, and a useful lower bound for other codecs.
+ * A codec as a plug-in, in full. "org.example.mean" keeps two averages of a material, its mean colour at each
+ * texel and its mean reflectance for each pair of light and view, and evaluates their product: the best one
+ * can do without any interplay of texture and direction, and a useful lower bound for other codecs.
  *
  *   cc -shared -fPIC mean_plugin.c $(pkg-config --cflags libbtf) -o org.example.mean.so
  *   btf --plugin $PWD/org.example.mean.so encode wool.btfd -o wool.btfz --codec org.example.mean
@@ -15,14 +15,21 @@
 #define TEXTURE BTF_TAG('T', 'E', 'X', ' ') /* height x width x channels floats */
 #define ANGULAR BTF_TAG('A', 'N', 'G', ' ') /* views x lights x channels floats, 1 on average */
 
-static const btf_param_desc contrast = {
-    sizeof contrast, "contrast", "How much of the texture is kept: 1 all of it, 0 its mean colour.", NULL, "1", NULL,
-    0.0, 1.0, BTF_PARAM_FLOAT, 0};
+static const btf_param_desc contrast = {sizeof contrast,
+                                        "contrast",
+                                        "How much of the texture is kept: 1 all of it, 0 its mean colour.",
+                                        NULL,
+                                        "1",
+                                        NULL,
+                                        0.0,
+                                        1.0,
+                                        BTF_PARAM_FLOAT,
+                                        0};
 static const btf_param_desc *const params[] = {&contrast, NULL};
 
 /* The data set is read image by image, so that any size of it fits in memory. */
-static btf_status mean_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds, const btf_options *options,
-                           const btf_job *job, btf_chunk_writer *payload) {
+static btf_status mean_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
+                           const btf_options *options, const btf_job *job, btf_chunk_writer *payload) {
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   btf_status status = host->dataset_describe(ds, &desc);
   if (status != BTF_OK) return status;
@@ -45,7 +52,8 @@ static btf_status mean_fit(const btf_host *host, btf_context *ctx, const btf_dat
   for (uint64_t i = 0; status == BTF_OK && i < texels * channels; i++) sum[i] = 0.0;
 
   for (uint64_t pair = 0; pair < pairs && status == BTF_OK; pair++) {
-    const btf_block block = {(uint32_t)(pair / lights), 1, (uint32_t)(pair % lights), 1, 0, 0, desc.width, desc.height};
+    const btf_block block = {
+        (uint32_t)(pair / lights), 1, (uint32_t)(pair % lights), 1, 0, 0, desc.width, desc.height};
     double pair_sum[64] = {0.0};
     status = host->dataset_read(ds, &block, image, &strides);
     for (uint64_t i = 0; i < texels * channels && status == BTF_OK; i++) {
@@ -76,8 +84,8 @@ typedef struct mean_state {
 } mean_state;
 
 /* Sizes are checked against the shape: evaluation trusts them from then on. */
-static btf_status mean_load(const btf_host *host, btf_context *ctx, uint32_t format, const btf_model_shape *shape,
-                            btf_chunk_reader *payload, void **state) {
+static btf_status mean_load(const btf_host *host, btf_context *ctx, uint32_t format,
+                            const btf_model_shape *shape, btf_chunk_reader *payload, void **state) {
   const uint64_t texture_size = (uint64_t)shape->width * shape->height * shape->channels * 4;
   const uint64_t angular_size =
       (uint64_t)host->dirset_count(shape->views) * host->dirset_count(shape->lights) * shape->channels * 4;
@@ -91,25 +99,34 @@ static btf_status mean_load(const btf_host *host, btf_context *ctx, uint32_t for
     return host->fail(ctx, BTF_E_CORRUPT, "org.example.mean: the averages have another size than the model");
   mean_state *s = host->alloc(ctx, 1, sizeof *s);
   if (s == NULL) return BTF_E_NOMEM;
-  *s = (mean_state){host, *shape, host->dirset_count(shape->lights), texture_size + angular_size, texture, angular};
+  *s = (mean_state){host,    *shape, host->dirset_count(shape->lights), texture_size + angular_size,
+                    texture, angular};
   *state = s;
   return BTF_OK;
 }
 
-static void mean_destroy(const btf_host *host, btf_context *ctx, void *state) { host->free(ctx, state); }
-static uint32_t mean_levels(const void *state) { return state != NULL; }
-static uint64_t mean_resident_bytes(const void *state) { return ((const mean_state *)state)->bytes; }
+static void mean_destroy(const btf_host *host, btf_context *ctx, void *state) {
+  host->free(ctx, state);
+}
+static uint32_t mean_levels(const void *state) {
+  return state != NULL;
+}
+static uint64_t mean_resident_bytes(const void *state) {
+  return ((const mean_state *)state)->bytes;
+}
 
-static void mean_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view,
-                       float *out) {
+static void mean_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
+                       uint32_t view, float *out) {
   const mean_state *s = state;
   const uint32_t n = s->shape.channels;
   (void)level;
   for (uint32_t c = 0; c < n; c++)
-    out[c] = s->texture[((uint64_t)y * s->shape.width + x) * n + c] * s->angular[((uint64_t)view * s->lights + light) * n + c];
+    out[c] = s->texture[((uint64_t)y * s->shape.width + x) * n + c] *
+             s->angular[((uint64_t)view * s->lights + light) * n + c];
 }
 
-/* Total: host functions take any direction, btf_sampling takes any position, and nothing here fails or allocates. */
+/* Total: host functions take any direction, btf_sampling takes any position, and nothing here fails or
+ * allocates. */
 static void mean_eval(const void *state, const btf_query *query, float *out) {
   const mean_state *s = state;
   const uint32_t n = s->shape.channels;
@@ -161,4 +178,6 @@ static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "mean", "MIT", cod
 
 /* The one symbol the library looks for. NULL would say: not with a library of this generation. */
 LIBBTF_API const btf_plugin_info *BTF_PLUGIN_ENTRY(uint32_t host_abi);
-const btf_plugin_info *BTF_PLUGIN_ENTRY(uint32_t host_abi) { return host_abi == LIBBTF_ABI ? &info : NULL; }
+const btf_plugin_info *BTF_PLUGIN_ENTRY(uint32_t host_abi) {
+  return host_abi == LIBBTF_ABI ? &info : NULL;
+}

@@ -27,8 +27,9 @@ btf_status btfi_chunk_check_head(btfi_source *source, const btfi_entry *e) {
   BTFI_TRY(btfi_io_read(source->ctx, &source->io, head, sizeof head, e->offset - BTFI_ENTRY_SIZE));
   btfi_entry_encode(e, expected);
   if (memcmp(head, expected, sizeof head) != 0)
-    return btfi_fail(source->ctx, BTF_E_CORRUPT, "%s: %s: its head differs from the directory; the file is damaged",
-                     source->name, btfi_entry_name(e, name));
+    return btfi_fail(source->ctx, BTF_E_CORRUPT,
+                     "%s: %s: its head differs from the directory; the file is damaged", source->name,
+                     btfi_entry_name(e, name));
   return BTF_OK;
 }
 
@@ -64,8 +65,9 @@ static btf_status unpack(btfi_source *source, const btfi_entry *e, const void *s
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: %s: not a zstd frame that states its size", source->name,
                      btfi_entry_name(e, name));
   if (content != e->raw)
-    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: %s: the zstd frame unpacks to %llu bytes, the directory says %llu",
-                     source->name, btfi_entry_name(e, name), content, (unsigned long long)e->raw);
+    return btfi_fail(ctx, BTF_E_CORRUPT,
+                     "%s: %s: the zstd frame unpacks to %llu bytes, the directory says %llu", source->name,
+                     btfi_entry_name(e, name), content, (unsigned long long)e->raw);
   frame = ZSTD_findFrameCompressedSize(stored, (size_t)e->stored);
   if (ZSTD_isError(frame) || frame != e->stored)
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: %s: not exactly one zstd frame", source->name,
@@ -77,12 +79,14 @@ static btf_status unpack(btfi_source *source, const btfi_entry *e, const void *s
   btfi_free(ctx, *out);
   *out = NULL;
   if (ZSTD_isError(got) && ZSTD_getErrorCode(got) == ZSTD_error_memory_allocation)
-    return btfi_fail(ctx, BTF_E_NOMEM, "%s: %s: no memory to unpack it", source->name, btfi_entry_name(e, name));
-  return btfi_fail(ctx, BTF_E_CORRUPT, "%s: %s: zstd cannot unpack it: %s", source->name, btfi_entry_name(e, name),
-                   ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too few bytes");
+    return btfi_fail(ctx, BTF_E_NOMEM, "%s: %s: no memory to unpack it", source->name,
+                     btfi_entry_name(e, name));
+  return btfi_fail(ctx, BTF_E_CORRUPT, "%s: %s: zstd cannot unpack it: %s", source->name,
+                   btfi_entry_name(e, name), ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too few bytes");
 }
 
-btf_status btfi_chunk_read(btfi_source *source, const btfi_entry *e, bool trust, const void **data, bool *owned) {
+btf_status btfi_chunk_read(btfi_source *source, const btfi_entry *e, bool trust, const void **data,
+                           bool *owned) {
   btf_context *ctx = source->ctx;
   const uint64_t limit = btfi_limits(ctx)->max_chunk_bytes;
   char name[BTFI_NAME_SIZE];
@@ -93,7 +97,8 @@ btf_status btfi_chunk_read(btfi_source *source, const btfi_entry *e, bool trust,
     return btfi_fail(ctx, BTF_E_LIMIT, "%s: %s: %llu bytes are over the limit of %llu", source->name,
                      btfi_entry_name(e, name), (unsigned long long)e->raw, (unsigned long long)limit);
   if (e->raw > SIZE_MAX || e->stored > SIZE_MAX)
-    return btfi_fail(ctx, BTF_E_LIMIT, "%s: %s: too large for this machine", source->name, btfi_entry_name(e, name));
+    return btfi_fail(ctx, BTF_E_LIMIT, "%s: %s: too large for this machine", source->name,
+                     btfi_entry_name(e, name));
   BTFI_TRY(btfi_chunk_check_head(source, e));
   if (e->method == BTFI_METHOD_RAW) {
     if ((e->flags & BTFI_CHUNK_IN_PLACE) != 0 && source->io.map != NULL && e->stored != 0) {

@@ -15,7 +15,8 @@ typedef struct btfi_chunk {
   uint64_t size;
 } btfi_chunk;
 
-/* What a model is in a container: its header and its chunks. Reference counted; owned memory or a mapping kept open. */
+/* What a model is in a container: its header and its chunks. Reference counted; owned memory or a mapping
+ * kept open. */
 typedef struct btfi_payload btfi_payload;
 
 /* The codec-independent header of a model. Strings and direction sets are owned by the payload. */
@@ -31,8 +32,8 @@ typedef struct btfi_model_header {
 } btfi_model_header;
 
 /* A new payload filled in by a fit through btf_chunk_writer. */
-btf_status btfi_payload_create(btf_context *ctx, const btf_dataset *ds, const char *codec_id, uint32_t codec_format,
-                               btfi_payload **out);
+btf_status btfi_payload_create(btf_context *ctx, const btf_dataset *ds, const char *codec_id,
+                               uint32_t codec_format, btfi_payload **out);
 void btfi_payload_retain(btfi_payload *p);
 void btfi_payload_release(btfi_payload *p);
 const btfi_model_header *btfi_payload_header(const btfi_payload *p);
@@ -40,17 +41,18 @@ uint32_t btfi_payload_chunk_count(const btfi_payload *p);
 /* The chunk, read, verified and unpacked on first use for payloads of a file; thread-safe. */
 btf_status btfi_payload_chunk(btfi_payload *p, uint32_t i, btfi_chunk *out);
 const char *btfi_payload_source_name(const btfi_payload *p); /* of the file it came from, NULL otherwise */
-uint64_t btfi_payload_stored_bytes(const btfi_payload *p); /* 0 unless it came from a file */
-btf_chunk_writer *btfi_payload_writer(btfi_payload *p); /* valid until the payload is sealed */
+uint64_t btfi_payload_stored_bytes(const btfi_payload *p);   /* 0 unless it came from a file */
+btf_chunk_writer *btfi_payload_writer(btfi_payload *p);      /* valid until the payload is sealed */
 void btfi_payload_seal(btfi_payload *p);
 btf_chunk_reader *btfi_payload_reader(btfi_payload *p); /* lives as long as the payload */
 
 /* Host table entries. */
 btf_status btfi_chunk_put(btf_chunk_writer *w, uint32_t tag, uint32_t index, uint32_t flags, const void *src,
                           uint64_t size);
-btf_status btfi_chunk_reserve(btf_chunk_writer *w, uint32_t tag, uint32_t index, uint32_t flags, uint64_t size,
-                              void **dst);
-btf_status btfi_chunk_get(btf_chunk_reader *r, uint32_t tag, uint32_t index, const void **data, uint64_t *size);
+btf_status btfi_chunk_reserve(btf_chunk_writer *w, uint32_t tag, uint32_t index, uint32_t flags,
+                              uint64_t size, void **dst);
+btf_status btfi_chunk_get(btf_chunk_reader *r, uint32_t tag, uint32_t index, const void **data,
+                          uint64_t *size);
 int32_t btfi_chunk_has(const btf_chunk_reader *r, uint32_t tag, uint32_t index);
 void btfi_chunk_set_zstd_level(btf_chunk_writer *w, int32_t level);
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* Copying containers: stored bytes move as they are, only the numbers of models and direction sets may change. */
+/* Copying containers: stored bytes move as they are, only the numbers of models and direction sets may
+ * change. */
 #include "container/reader.h"
 #include "container/writer.h"
 
@@ -26,8 +27,8 @@ static btf_status copy_stored(const copying *c, const btfi_entry *from) {
     for (uint32_t i = 0; i < c->w->entry_count; i++) {
       const btfi_entry *other = &c->w->entries[i];
       if (other->type == e.type && other->model == e.model && other->tag == e.tag && other->index == e.index)
-        return btfi_fail(c->w->ctx, BTF_E_STATE, "%s: %s: the copy already holds a chunk of this name", s->name,
-                         btfi_entry_name(from, name));
+        return btfi_fail(c->w->ctx, BTF_E_STATE, "%s: %s: the copy already holds a chunk of this name",
+                         s->name, btfi_entry_name(from, name));
     }
   BTFI_TRY(btfi_chunk_check_head(s, from));
   BTFI_TRY(btfi_writer_head(c->w, &e));
@@ -40,8 +41,8 @@ static btf_status copy_stored(const copying *c, const btfi_entry *from) {
     done += n;
   }
   if (btfi_xxh64_digest(&sum) != from->checksum)
-    return btfi_fail(c->w->ctx, BTF_E_CORRUPT, "%s: %s: the checksum does not match; the file is damaged", s->name,
-                     btfi_entry_name(from, name));
+    return btfi_fail(c->w->ctx, BTF_E_CORRUPT, "%s: %s: the checksum does not match; the file is damaged",
+                     s->name, btfi_entry_name(from, name));
   return BTF_OK;
 }
 
@@ -57,7 +58,8 @@ static btf_status write_renumbered(const copying *c, btfi_entry *e, unsigned cha
   return btfi_writer_raw_chunk(c->w, e, data, e->raw);
 }
 
-/* A model's header names its direction sets by number; all else in it is kept, also what a later version added. */
+/* A model's header names its direction sets by number; all else in it is kept, also what a later version
+ * added. */
 static btf_status copy_header(const copying *c, const btfi_entry *from) {
   btfi_entry e = *from;
   const void *data;
@@ -91,8 +93,10 @@ static btf_status copy_all(const copying *c) {
   for (uint32_t i = 0; i < f->header.count; i++) {
     const btfi_entry *e = &f->entries[i];
     if (e->type == BTFI_TYPE_DIRECTIONS || e->type == BTFI_TYPE_METADATA) continue;
-    if (e->type == BTFI_TYPE_MODEL && renumbered) BTFI_TRY(copy_header(c, e));
-    else BTFI_TRY(copy_stored(c, e));
+    if (e->type == BTFI_TYPE_MODEL && renumbered)
+      BTFI_TRY(copy_header(c, e));
+    else
+      BTFI_TRY(copy_stored(c, e));
   }
   for (uint32_t i = 0; i < f->metadata.count; i++) /* what the caller set himself stays */
     if (btfi_metadata_find(&c->w->metadata, f->metadata.keys[i]) == NULL)
@@ -108,7 +112,8 @@ btf_status btf_writer_copy(btf_writer *w, const btf_file *file) {
   if (w == NULL || file == NULL)
     return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_writer_copy: writer and file must not be NULL");
   if (w->status != BTF_OK)
-    return btfi_fail(w->ctx, w->status, "%s: an earlier step of writing failed; nothing will be kept", w->name);
+    return btfi_fail(w->ctx, w->status, "%s: an earlier step of writing failed; nothing will be kept",
+                     w->name);
   c.first_model = w->model_count;
   c.sets = btfi_alloc(w->ctx, file->set_count, sizeof *c.sets);
   c.buffer = c.sets != NULL ? btfi_alloc(w->ctx, PIECE, 1) : NULL;

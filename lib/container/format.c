@@ -21,9 +21,15 @@ static void store64(unsigned char *p, uint64_t v) {
   store32(p, (uint32_t)v);
   store32(p + 4, (uint32_t)(v >> 32));
 }
-static uint32_t load16(const unsigned char *p) { return (uint32_t)p[0] | (uint32_t)p[1] << 8; }
-static uint32_t load32(const unsigned char *p) { return load16(p) | load16(p + 2) << 16; }
-static uint64_t load64(const unsigned char *p) { return (uint64_t)load32(p) | (uint64_t)load32(p + 4) << 32; }
+static uint32_t load16(const unsigned char *p) {
+  return (uint32_t)p[0] | (uint32_t)p[1] << 8;
+}
+static uint32_t load32(const unsigned char *p) {
+  return load16(p) | load16(p + 2) << 16;
+}
+static uint64_t load64(const unsigned char *p) {
+  return (uint64_t)load32(p) | (uint64_t)load32(p + 4) << 32;
+}
 
 void btfi_header_encode(const btfi_header *h, unsigned char out[BTFI_HEADER_SIZE]) {
   memcpy(out, signature, sizeof signature);
@@ -44,16 +50,17 @@ btf_status btfi_header_decode(btf_context *ctx, const char *name, const unsigned
   const uint64_t head = BTFI_MIN(size, sizeof signature);
   if (memcmp(bytes, signature, (size_t)head) != 0) {
     if (size >= 4 && (bytes[0] & 0x7f) == (signature[0] & 0x7f) && memcmp(bytes + 1, signature + 1, 3) == 0)
-      return btfi_fail(ctx, BTF_E_CORRUPT, "%s: the signature is damaged, as by a transfer in text mode", name);
-    return btfi_fail(ctx, BTF_E_NOT_BTF, "%s: not a .btfz container (its first bytes are another kind of file's)",
-                     name);
+      return btfi_fail(ctx, BTF_E_CORRUPT, "%s: the signature is damaged, as by a transfer in text mode",
+                       name);
+    return btfi_fail(ctx, BTF_E_NOT_BTF,
+                     "%s: not a .btfz container (its first bytes are another kind of file's)", name);
   }
   if (size < BTFI_HEADER_SIZE)
     return btfi_fail(ctx, BTF_E_TRUNCATED, "%s: %llu bytes, too few for the header of a container", name,
                      (unsigned long long)size);
   if (load64(bytes + 56) != btfi_xxh64_of(bytes, 56))
-    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: the checksum of the file header does not match; the file is damaged",
-                     name);
+    return btfi_fail(ctx, BTF_E_CORRUPT,
+                     "%s: the checksum of the file header does not match; the file is damaged", name);
   out->major = load16(bytes + 8);
   out->minor = load16(bytes + 10);
   out->required = load32(bytes + 12);
@@ -64,8 +71,9 @@ btf_status btfi_header_decode(btf_context *ctx, const char *name, const unsigned
   out->file_size = load64(bytes + 40);
   out->directory_checksum = load64(bytes + 48);
   if (out->major > BTFI_FORMAT_MAJOR)
-    return btfi_fail(ctx, BTF_E_NEWER, "%s: container version %u.%u is newer than this library, which reads %u.x",
-                     name, out->major, out->minor, (unsigned)BTFI_FORMAT_MAJOR);
+    return btfi_fail(ctx, BTF_E_NEWER,
+                     "%s: container version %u.%u is newer than this library, which reads %u.x", name,
+                     out->major, out->minor, (unsigned)BTFI_FORMAT_MAJOR);
   if (out->major < 1) return btfi_fail(ctx, BTF_E_CORRUPT, "%s: container version 0 does not exist", name);
   if ((out->required & ~BTFI_KNOWN_REQUIRED) != 0)
     return btfi_fail(ctx, BTF_E_NEWER, "%s: needs features this library does not have (mask 0x%x)", name,
@@ -150,10 +158,14 @@ bool btfi_text_valid(const char *text, uint64_t size) {
       i++;
       continue;
     }
-    if (c >= 0xc2 && c <= 0xdf) follow = 1, code = c & 0x1fu, least = 0x80;
-    else if (c >= 0xe0 && c <= 0xef) follow = 2, code = c & 0x0fu, least = 0x800;
-    else if (c >= 0xf0 && c <= 0xf4) follow = 3, code = c & 0x07u, least = 0x10000;
-    else return false;
+    if (c >= 0xc2 && c <= 0xdf)
+      follow = 1, code = c & 0x1fu, least = 0x80;
+    else if (c >= 0xe0 && c <= 0xef)
+      follow = 2, code = c & 0x0fu, least = 0x800;
+    else if (c >= 0xf0 && c <= 0xf4)
+      follow = 3, code = c & 0x07u, least = 0x10000;
+    else
+      return false;
     if (size - i <= follow) return false;
     for (uint32_t k = 1; k <= follow; k++) {
       if ((p[i + k] & 0xc0) != 0x80) return false;

@@ -70,12 +70,14 @@ typedef struct btfi_entry {
 } btfi_entry;
 
 void btfi_header_encode(const btfi_header *h, unsigned char out[BTFI_HEADER_SIZE]);
-/* Judges the first `size` bytes of a file (64 unless the file is shorter): not ours, damaged, newer, unfinished. */
+/* Judges the first `size` bytes of a file (64 unless the file is shorter): not ours, damaged, newer,
+ * unfinished. */
 btf_status btfi_header_decode(btf_context *ctx, const char *name, const unsigned char *bytes, uint64_t size,
                               btfi_header *out);
 void btfi_footer_encode(const btfi_header *h, unsigned char out[BTFI_FOOTER_SIZE]);
 void btfi_entry_encode(const btfi_entry *e, unsigned char out[BTFI_ENTRY_SIZE]);
-bool btfi_entry_decode(const unsigned char bytes[BTFI_ENTRY_SIZE], btfi_entry *out); /* false: checksum differs */
+bool btfi_entry_decode(const unsigned char bytes[BTFI_ENTRY_SIZE],
+                       btfi_entry *out); /* false: checksum differs */
 
 /* The next multiple of 64; the caller has bounded n. */
 static inline uint64_t btfi_align(uint64_t n) {
@@ -97,9 +99,11 @@ typedef struct btfi_source {
 btfi_source *btfi_source_retain(btfi_source *source);
 void btfi_source_release(btfi_source *source);
 
-/* The unpacked bytes of a chunk, verified: straight from the mapping when the chunk is meant for that (*owned false),
- * else in new memory. Nothing is allocated before the sizes agree with the limits and with the zstd frame. */
-btf_status btfi_chunk_read(btfi_source *source, const btfi_entry *e, bool trust, const void **data, bool *owned);
+/* The unpacked bytes of a chunk, verified: straight from the mapping when the chunk is meant for that (*owned
+ * false), else in new memory. Nothing is allocated before the sizes agree with the limits and with the zstd
+ * frame. */
+btf_status btfi_chunk_read(btfi_source *source, const btfi_entry *e, bool trust, const void **data,
+                           bool *owned);
 /* BTF_E_CORRUPT when the head before the chunk differs from its directory entry. */
 btf_status btfi_chunk_check_head(btfi_source *source, const btfi_entry *e);
 

@@ -41,8 +41,8 @@ static btf_status check(const btfi_metadata *m, const char *key, uint64_t key_si
   if (key_size == 0 || key_size > 255 || !btfi_text_valid(key, key_size))
     return btfi_fail(m->ctx, BTF_E_INVALID_ARG, "metadata: a key is 1 to 255 bytes of UTF-8 text");
   if (value_size > BTFI_METADATA_LIMIT / 2 || !btfi_text_valid(value, value_size))
-    return btfi_fail(m->ctx, BTF_E_INVALID_ARG, "metadata: the value of \"%s\" is not UTF-8 text of at most 8 MiB",
-                     key);
+    return btfi_fail(m->ctx, BTF_E_INVALID_ARG,
+                     "metadata: the value of \"%s\" is not UTF-8 text of at most 8 MiB", key);
   return BTF_OK;
 }
 
@@ -113,7 +113,8 @@ btf_status btfi_metadata_decode(btfi_metadata *m, const char *name, const void *
     }
   }
   if (status == BTF_OK && c.overrun)
-    status = btfi_fail(m->ctx, BTF_E_CORRUPT, "%s: the metadata chunk ends within pair %u", name, (unsigned)m->count);
+    status = btfi_fail(m->ctx, BTF_E_CORRUPT, "%s: the metadata chunk ends within pair %u", name,
+                       (unsigned)m->count);
   return status;
 }
 

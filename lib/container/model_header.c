@@ -21,7 +21,8 @@ void btfi_model_header_free(btf_context *ctx, btfi_model_header *h) {
   memset(h, 0, sizeof *h);
 }
 
-/* Copies a text; NULL stays NULL. What cannot be stored is refused when the model is made, not when it is saved. */
+/* Copies a text; NULL stays NULL. What cannot be stored is refused when the model is made, not when it is
+ * saved. */
 static btf_status copy_text(btf_context *ctx, const char *what, const char *text, char **out) {
   const size_t size = text != NULL ? strlen(text) : 0;
   if (text == NULL) return BTF_OK;
@@ -43,7 +44,8 @@ static uint64_t dataset_bytes(const btf_dataset_desc *desc) {
 static btf_status fill(btf_context *ctx, const btf_dataset_desc *desc, const char *codec_id,
                        btfi_model_header *h) {
   BTFI_TRY(copy_text(ctx, "codec id", codec_id, &h->codec_id));
-  BTFI_TRY(copy_text(ctx, "color_space", desc->color_space != NULL ? desc->color_space : "", &h->color_space));
+  BTFI_TRY(
+      copy_text(ctx, "color_space", desc->color_space != NULL ? desc->color_space : "", &h->color_space));
   BTFI_TRY(copy_text(ctx, "name", desc->name, &h->name));
   BTFI_TRY(copy_text(ctx, "source", desc->source, &h->source));
   BTFI_TRY(copy_text(ctx, "license", desc->license, &h->license));
@@ -105,17 +107,19 @@ void btfi_model_header_encode(const btfi_model_header *h, uint32_t light_set, ui
   for (uint32_t c = 0; c < h->channels; c++) put_text(out, h->channel_names[c]);
 }
 
-static btf_status get_text(btf_context *ctx, const char *name, btfi_cursor *c, bool may_be_absent, char **out) {
+static btf_status get_text(btf_context *ctx, const char *name, btfi_cursor *c, bool may_be_absent,
+                           char **out) {
   const uint32_t size = btfi_get_u32(c);
   const char *text;
   if (size == 0xffffffffu && may_be_absent) return BTF_OK;
   if (c->overrun) return BTF_OK; /* told once, at the end */
   if (size > BTFI_TEXT_LIMIT)
-    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: a text of %u bytes; at most %u are allowed", name, (unsigned)size,
-                     (unsigned)BTFI_TEXT_LIMIT);
+    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: a text of %u bytes; at most %u are allowed", name,
+                     (unsigned)size, (unsigned)BTFI_TEXT_LIMIT);
   text = btfi_get_bytes(c, size);
   if (c->overrun) return BTF_OK;
-  if (!btfi_text_valid(text, size)) return btfi_fail(ctx, BTF_E_CORRUPT, "%s: a text is not valid UTF-8", name);
+  if (!btfi_text_valid(text, size))
+    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: a text is not valid UTF-8", name);
   *out = btfi_alloc(ctx, (uint64_t)size + 1, 1);
   if (*out == NULL) return btfi_alloc_status();
   if (size != 0) memcpy(*out, text, size);
@@ -135,18 +139,20 @@ static btf_status check(btf_context *ctx, const char *name, const btfi_model_hea
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: %u x %u texels of %u channels; none may be 0", name, h->width,
                      h->height, h->channels);
   if (h->width > limits->max_dimension || h->height > limits->max_dimension)
-    return btfi_fail(ctx, BTF_E_LIMIT, "%s: %u x %u texels are over the limit of %u along a side", name, h->width,
-                     h->height, limits->max_dimension);
+    return btfi_fail(ctx, BTF_E_LIMIT, "%s: %u x %u texels are over the limit of %u along a side", name,
+                     h->width, h->height, limits->max_dimension);
   if (h->channels > limits->max_channels || h->channels > 64)
     return btfi_fail(ctx, BTF_E_LIMIT, "%s: %u channels; at most %u are read", name, h->channels,
                      BTFI_MIN(limits->max_channels, 64u));
   if (h->quantity != BTF_QUANTITY_BRDF && h->quantity != BTF_QUANTITY_BRDF_COS)
-    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: quantity %u is neither 1 (brdf) nor 2 (brdf_cos)", name, h->quantity);
+    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: quantity %u is neither 1 (brdf) nor 2 (brdf_cos)", name,
+                     h->quantity);
   if (h->scale > BTF_SCALE_ABSOLUTE || h->wrap > BTF_WRAP_CLAMP)
-    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: scale %u or wrap %u is neither 0 nor 1", name, h->scale, h->wrap);
+    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: scale %u or wrap %u is neither 0 nor 1", name, h->scale,
+                     h->wrap);
   if (light_set >= set_count || view_set >= set_count)
-    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: direction set %u or %u is missing; the file has %u", name, light_set,
-                     view_set, set_count);
+    return btfi_fail(ctx, BTF_E_CORRUPT, "%s: direction set %u or %u is missing; the file has %u", name,
+                     light_set, view_set, set_count);
   if (!(h->texels_per_mm >= 0.0) || isinf(h->texels_per_mm))
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: texels per mm is not a number from 0 on", name);
   return BTF_OK;

@@ -21,8 +21,8 @@ btf_status btfi_payload_new(btf_context *ctx, btfi_payload **out) {
   return BTF_OK;
 }
 
-btf_status btfi_payload_create(btf_context *ctx, const btf_dataset *ds, const char *codec_id, uint32_t codec_format,
-                               btfi_payload **out) {
+btf_status btfi_payload_create(btf_context *ctx, const btf_dataset *ds, const char *codec_id,
+                               uint32_t codec_format, btfi_payload **out) {
   btf_status status = btfi_payload_new(ctx, out);
   if (status != BTF_OK) return status;
   status = btfi_model_header_from_dataset(ctx, ds, codec_id, codec_format, &(*out)->header);
@@ -33,7 +33,9 @@ btf_status btfi_payload_create(btf_context *ctx, const btf_dataset *ds, const ch
   return status;
 }
 
-void btfi_payload_retain(btfi_payload *p) { atomic_fetch_add_explicit(&p->references, 1, memory_order_relaxed); }
+void btfi_payload_retain(btfi_payload *p) {
+  atomic_fetch_add_explicit(&p->references, 1, memory_order_relaxed);
+}
 
 void btfi_payload_release(btfi_payload *p) {
   btf_context *ctx;
@@ -50,13 +52,27 @@ void btfi_payload_release(btfi_payload *p) {
   btf_context_release(ctx);
 }
 
-const btfi_model_header *btfi_payload_header(const btfi_payload *p) { return &p->header; }
-uint32_t btfi_payload_chunk_count(const btfi_payload *p) { return p->count; }
-const char *btfi_payload_source_name(const btfi_payload *p) { return p->source != NULL ? p->source->name : NULL; }
-uint64_t btfi_payload_stored_bytes(const btfi_payload *p) { return p->stored_bytes; }
-btf_chunk_writer *btfi_payload_writer(btfi_payload *p) { return &p->writer; }
-btf_chunk_reader *btfi_payload_reader(btfi_payload *p) { return &p->reader; }
-void btfi_payload_seal(btfi_payload *p) { p->sealed = true; }
+const btfi_model_header *btfi_payload_header(const btfi_payload *p) {
+  return &p->header;
+}
+uint32_t btfi_payload_chunk_count(const btfi_payload *p) {
+  return p->count;
+}
+const char *btfi_payload_source_name(const btfi_payload *p) {
+  return p->source != NULL ? p->source->name : NULL;
+}
+uint64_t btfi_payload_stored_bytes(const btfi_payload *p) {
+  return p->stored_bytes;
+}
+btf_chunk_writer *btfi_payload_writer(btfi_payload *p) {
+  return &p->writer;
+}
+btf_chunk_reader *btfi_payload_reader(btfi_payload *p) {
+  return &p->reader;
+}
+void btfi_payload_seal(btfi_payload *p) {
+  p->sealed = true;
+}
 
 /* Position in `order` of a name, or where it would be inserted. */
 static uint32_t search(const btfi_payload *p, uint32_t tag, uint32_t index, bool *found) {
@@ -64,8 +80,10 @@ static uint32_t search(const btfi_payload *p, uint32_t tag, uint32_t index, bool
   while (low < high) {
     const uint32_t middle = low + (high - low) / 2;
     const btfi_slot *slot = &p->slots[p->order[middle]];
-    if (slot->tag < tag || (slot->tag == tag && slot->index < index)) low = middle + 1;
-    else high = middle;
+    if (slot->tag < tag || (slot->tag == tag && slot->index < index))
+      low = middle + 1;
+    else
+      high = middle;
   }
   *found = low < p->count && p->slots[p->order[low]].tag == tag && p->slots[p->order[low]].index == index;
   return low;
@@ -109,8 +127,8 @@ btf_status btfi_payload_add(btfi_payload *p, uint32_t tag, uint32_t index, uint3
     return btfi_fail(p->ctx, BTF_E_INVALID_ARG, "%s: a tag and index may be used once in a model",
                      slot_name(tag, index, name));
   if (p->count >= btfi_limits(p->ctx)->max_chunks)
-    return btfi_fail(p->ctx, BTF_E_LIMIT, "%s: the limit of %u chunks is reached", slot_name(tag, index, name),
-                     (unsigned)btfi_limits(p->ctx)->max_chunks);
+    return btfi_fail(p->ctx, BTF_E_LIMIT, "%s: the limit of %u chunks is reached",
+                     slot_name(tag, index, name), (unsigned)btfi_limits(p->ctx)->max_chunks);
   if (p->count == p->capacity) BTFI_TRY(grow(p));
   memmove(p->order + at + 1, p->order + at, (p->count - at) * sizeof *p->order);
   p->order[at] = p->count;
@@ -122,8 +140,8 @@ btf_status btfi_payload_add(btfi_payload *p, uint32_t tag, uint32_t index, uint3
   return BTF_OK;
 }
 
-btf_status btfi_chunk_reserve(btf_chunk_writer *w, uint32_t tag, uint32_t index, uint32_t flags, uint64_t size,
-                              void **dst) {
+btf_status btfi_chunk_reserve(btf_chunk_writer *w, uint32_t tag, uint32_t index, uint32_t flags,
+                              uint64_t size, void **dst) {
   char name[BTFI_NAME_SIZE];
   btfi_payload *p = w->payload;
   btfi_slot *slot;
@@ -135,8 +153,9 @@ btf_status btfi_chunk_reserve(btf_chunk_writer *w, uint32_t tag, uint32_t index,
     return btfi_fail(p->ctx, BTF_E_INVALID_ARG, "%s: unknown flags 0x%x", slot_name(tag, index, name),
                      (unsigned)flags);
   if (size > btfi_limits(p->ctx)->max_chunk_bytes)
-    return btfi_fail(p->ctx, BTF_E_LIMIT, "%s: %llu bytes are over the limit of %llu", slot_name(tag, index, name),
-                     (unsigned long long)size, (unsigned long long)btfi_limits(p->ctx)->max_chunk_bytes);
+    return btfi_fail(p->ctx, BTF_E_LIMIT, "%s: %llu bytes are over the limit of %llu",
+                     slot_name(tag, index, name), (unsigned long long)size,
+                     (unsigned long long)btfi_limits(p->ctx)->max_chunk_bytes);
   memory = btfi_calloc(p->ctx, size, 1);
   if (memory == NULL) return btfi_alloc_status();
   {
@@ -161,13 +180,16 @@ btf_status btfi_chunk_put(btf_chunk_writer *w, uint32_t tag, uint32_t index, uin
   return BTF_OK;
 }
 
-void btfi_chunk_set_zstd_level(btf_chunk_writer *w, int32_t level) { w->payload->zstd_level = level; }
+void btfi_chunk_set_zstd_level(btf_chunk_writer *w, int32_t level) {
+  w->payload->zstd_level = level;
+}
 
 btf_status btfi_payload_chunk(btfi_payload *p, uint32_t i, btfi_chunk *out) {
   btfi_slot *slot;
   void *data;
   memset(out, 0, sizeof *out);
-  if (i >= p->count) return btfi_fail(p->ctx, BTF_E_INVALID_ARG, "payload: there is no chunk %u", (unsigned)i);
+  if (i >= p->count)
+    return btfi_fail(p->ctx, BTF_E_INVALID_ARG, "payload: there is no chunk %u", (unsigned)i);
   slot = &p->slots[i];
   data = atomic_load_explicit(&slot->data, memory_order_acquire);
   if (data == NULL) {
@@ -191,7 +213,8 @@ btf_status btfi_payload_chunk(btfi_payload *p, uint32_t i, btfi_chunk *out) {
   return BTF_OK;
 }
 
-btf_status btfi_chunk_get(btf_chunk_reader *r, uint32_t tag, uint32_t index, const void **data, uint64_t *size) {
+btf_status btfi_chunk_get(btf_chunk_reader *r, uint32_t tag, uint32_t index, const void **data,
+                          uint64_t *size) {
   char name[BTFI_NAME_SIZE];
   btfi_payload *p = r->payload;
   btfi_chunk chunk;
@@ -200,8 +223,9 @@ btf_status btfi_chunk_get(btf_chunk_reader *r, uint32_t tag, uint32_t index, con
   *data = NULL;
   *size = 0;
   if (!found)
-    return btfi_fail(p->ctx, BTF_E_CORRUPT, "%s%s%s: missing in the model", p->source != NULL ? p->source->name : "",
-                     p->source != NULL ? ": " : "", slot_name(tag, index, name));
+    return btfi_fail(p->ctx, BTF_E_CORRUPT, "%s%s%s: missing in the model",
+                     p->source != NULL ? p->source->name : "", p->source != NULL ? ": " : "",
+                     slot_name(tag, index, name));
   BTFI_TRY(btfi_payload_chunk(p, p->order[at], &chunk));
   *data = chunk.data;
   *size = chunk.size;

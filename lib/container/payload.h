@@ -51,7 +51,8 @@ btf_status btfi_model_header_from_dataset(btf_context *ctx, const btf_dataset *d
                                           uint32_t codec_format, btfi_model_header *out);
 void btfi_model_header_encode(const btfi_model_header *h, uint32_t light_set, uint32_t view_set,
                               uint32_t payload_chunks, btfi_buffer *out);
-/* Parses a MODL chunk. The direction sets are looked up in `sets`. Fields of `out` are freed by _free in any case. */
+/* Parses a MODL chunk. The direction sets are looked up in `sets`. Fields of `out` are freed by _free in any
+ * case. */
 btf_status btfi_model_header_decode(btf_context *ctx, const char *name, const void *data, uint64_t size,
                                     btf_dirset *const *sets, uint32_t set_count, btfi_model_header *out,
                                     uint32_t *payload_chunks);

@@ -18,6 +18,9 @@ struct btf_file {
   btfi_metadata metadata;
 };
 
+/* Header, footer and directory (directory.c). */
+btf_status btfi_read_structure(btf_file *f);
+
 /* The first entry in `order` of a type and model, and how many there are. */
 uint32_t btfi_file_range(const btf_file *file, uint32_t type, uint32_t model, uint32_t *first);
 

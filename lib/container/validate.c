@@ -26,8 +26,8 @@ static void finding(validation *v, uint32_t issue, int32_t severity, btf_status 
   if (v->report != NULL) v->report(v->user, issue, severity, offset, text);
 }
 
-static void LIBBTF_PRINTF(5, 6) describe(validation *v, uint32_t issue, int32_t severity, uint64_t offset,
-                                         const char *format, ...) {
+static void LIBBTF_PRINTF(5, 6)
+    describe(validation *v, uint32_t issue, int32_t severity, uint64_t offset, const char *format, ...) {
   char text[512];
   va_list arguments;
   va_start(arguments, format);
@@ -99,8 +99,8 @@ static void check_chunk(validation *v, const btfi_entry *e, uint64_t previous_en
     return;
   }
   if (!btfi_type_known(e->type))
-    describe(v, BTFI_ISSUE_UNKNOWN_TYPE, BTF_LOG_INFO, e->offset, "%s: %s: of a type this library does not know",
-             s->name, btfi_entry_name(e, name));
+    describe(v, BTFI_ISSUE_UNKNOWN_TYPE, BTF_LOG_INFO, e->offset,
+             "%s: %s: of a type this library does not know", s->name, btfi_entry_name(e, name));
   check_stored(v, e);
 }
 
@@ -111,8 +111,9 @@ btf_status btf_file_validate(const btf_file *file, btf_issue_fn report, void *us
   v.buffer = btfi_alloc(file->ctx, PIECE, 1);
   if (v.buffer == NULL) return btfi_alloc_status();
   if (file->header.minor > BTFI_FORMAT_MINOR)
-    describe(&v, BTFI_ISSUE_NEWER_MINOR, BTF_LOG_INFO, 10, "%s: container version %u.%u; this library knows up to %u.%u",
-             file->source->name, file->header.major, file->header.minor, (unsigned)BTFI_FORMAT_MAJOR,
+    describe(&v, BTFI_ISSUE_NEWER_MINOR, BTF_LOG_INFO, 10,
+             "%s: container version %u.%u; this library knows up to %u.%u", file->source->name,
+             file->header.major, file->header.minor, (unsigned)BTFI_FORMAT_MAJOR,
              (unsigned)BTFI_FORMAT_MINOR);
   if ((file->header.optional & ~BTFI_KNOWN_OPTIONAL) != 0)
     describe(&v, BTFI_ISSUE_UNKNOWN_FEATURE, BTF_LOG_INFO, 16,

@@ -32,9 +32,11 @@ static void pack(void *job, uint32_t index, uint32_t thread) {
 }
 
 static btf_status write_packed(btf_writer *w, const packing *p) {
-  btfi_entry e = {BTFI_TYPE_PAYLOAD, p->chunk.tag, p->chunk.index, 0, w->model_count, BTFI_METHOD_RAW, 0, 0, 0, 0};
+  btfi_entry e = {
+      BTFI_TYPE_PAYLOAD, p->chunk.tag, p->chunk.index, 0, w->model_count, BTFI_METHOD_RAW, 0, 0, 0, 0};
   if ((p->chunk.flags & BTF_PAYLOAD_IN_PLACE) != 0) e.flags |= BTFI_CHUNK_IN_PLACE;
-  if (p->packed != NULL && ZSTD_isError(p->stored) && ZSTD_getErrorCode(p->stored) == ZSTD_error_memory_allocation)
+  if (p->packed != NULL && ZSTD_isError(p->stored) &&
+      ZSTD_getErrorCode(p->stored) == ZSTD_error_memory_allocation)
     return btfi_fail(w->ctx, BTF_E_NOMEM, "%s: no memory to pack a chunk", w->name);
   if (p->packed == NULL || ZSTD_isError(p->stored) || p->stored >= p->chunk.size)
     return btfi_writer_raw_chunk(w, &e, p->chunk.data, p->chunk.size);
@@ -87,7 +89,8 @@ static btf_status write_set(btf_writer *w, const btf_dirset *set, uint32_t *numb
   if (!is_new) return BTF_OK;
   e.index = *number;
   btfi_buffer_init(&bytes, w->ctx);
-  for (uint32_t i = 0; i < 3 * btf_dirset_count(set); i++) btfi_put_f32(&bytes, btf_dirset_directions(set)[i]);
+  for (uint32_t i = 0; i < 3 * btf_dirset_count(set); i++)
+    btfi_put_f32(&bytes, btf_dirset_directions(set)[i]);
   status = bytes.status;
   if (status == BTF_OK) status = btfi_writer_raw_chunk(w, &e, bytes.data, bytes.size);
   btfi_buffer_free(&bytes);
@@ -106,8 +109,9 @@ static btf_status write_header(btf_writer *w, const btfi_payload *p) {
   btfi_model_header_encode(h, lights, views, btfi_payload_chunk_count(p), &bytes);
   status = bytes.status;
   if (status == BTF_OK && bytes.size > BTFI_MODEL_CHUNK_LIMIT)
-    status = btfi_fail(w->ctx, BTF_E_LIMIT, "%s: the texts of the model take %llu bytes; at most %u are stored",
-                       w->name, (unsigned long long)bytes.size, BTFI_MODEL_CHUNK_LIMIT);
+    status =
+        btfi_fail(w->ctx, BTF_E_LIMIT, "%s: the texts of the model take %llu bytes; at most %u are stored",
+                  w->name, (unsigned long long)bytes.size, BTFI_MODEL_CHUNK_LIMIT);
   if (status == BTF_OK) status = btfi_writer_raw_chunk(w, &e, bytes.data, bytes.size);
   btfi_buffer_free(&bytes);
   return status;
@@ -134,7 +138,8 @@ static btf_status write_chunks(btf_writer *w, btfi_payload *p, const btf_job *jo
 btf_status btfi_writer_payload(btf_writer *w, btfi_payload *p, const btf_job *job) {
   btf_status status;
   if (w->status != BTF_OK)
-    return btfi_fail(w->ctx, w->status, "%s: an earlier step of writing failed; nothing will be kept", w->name);
+    return btfi_fail(w->ctx, w->status, "%s: an earlier step of writing failed; nothing will be kept",
+                     w->name);
   status = write_header(w, p);
   if (status == BTF_OK) status = write_chunks(w, p, job);
   if (status != BTF_OK) return btfi_writer_fail(w, status);

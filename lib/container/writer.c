@@ -97,7 +97,8 @@ btf_status btf_writer_open(btf_context *ctx, const btf_io *io, int32_t zstd_leve
     return btfi_fail(ctx, BTF_E_INVALID_ARG, "btf_writer_open: context, io and out must not be NULL");
   BTFI_TRY(btfi_io_copy(ctx, io, true, &checked));
   if (zstd_level < 0 || zstd_level > 22)
-    status = btfi_fail(ctx, BTF_E_INVALID_ARG, "zstd level: %d is outside 1 to 22 (0 = default)", (int)zstd_level);
+    status =
+        btfi_fail(ctx, BTF_E_INVALID_ARG, "zstd level: %d is outside 1 to 22 (0 = default)", (int)zstd_level);
   if (status == BTF_OK && (w = btfi_calloc(ctx, 1, sizeof *w)) == NULL) status = btfi_alloc_status();
   if (status == BTF_OK && (w->name = btfi_strdup(ctx, btfi_io_name(&checked))) == NULL)
     status = btfi_alloc_status();
@@ -123,7 +124,8 @@ btf_status btf_writer_open(btf_context *ctx, const btf_io *io, int32_t zstd_leve
 }
 
 btf_status btf_writer_metadata(btf_writer *w, const char *key, const char *value) {
-  if (w == NULL) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_writer_metadata: the writer must not be NULL");
+  if (w == NULL)
+    return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_writer_metadata: the writer must not be NULL");
   if (w->status != BTF_OK) return refuse_after_failure(w);
   return btfi_metadata_set(&w->metadata, key, value);
 }
@@ -148,7 +150,8 @@ static btf_status write_metadata(btf_writer *w) {
 }
 
 static btf_status write_end(btf_writer *w) {
-  btfi_header header = {BTFI_FORMAT_MAJOR, BTFI_FORMAT_MINOR, 0, w->optional_features, w->entry_count, 0, 0, 0, 0};
+  btfi_header header = {
+      BTFI_FORMAT_MAJOR, BTFI_FORMAT_MINOR, 0, w->optional_features, w->entry_count, 0, 0, 0, 0};
   unsigned char *directory, bytes[BTFI_HEADER_SIZE], footer[BTFI_FOOTER_SIZE];
   btf_status status;
   BTFI_TRY(pad(w));
@@ -174,8 +177,10 @@ btf_status btf_writer_finish(btf_writer *w) {
   if (w == NULL) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_writer_finish: the writer must not be NULL");
   status = w->status != BTF_OK ? refuse_after_failure(w) : write_metadata(w);
   if (status == BTF_OK) status = write_end(w);
-  if (status == BTF_OK) status = btfi_io_close(w->ctx, &w->io, false);
-  else btfi_io_close(w->ctx, &w->io, true);
+  if (status == BTF_OK)
+    status = btfi_io_close(w->ctx, &w->io, false);
+  else
+    btfi_io_close(w->ctx, &w->io, true);
   destroy(w);
   return status;
 }

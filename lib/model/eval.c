@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* Evaluation. The codec gives the stored quantity of any query; here its domain and the value asked for are applied,
- * by the same arithmetic for one query and for many, so that both agree bit for bit. */
+/* Evaluation. The codec gives the stored quantity of any query; here its domain and the value asked for are
+ * applied, by the same arithmetic for one query and for many, so that both agree bit for bit. */
 #include "model/model.h"
 
 #include <float.h>
@@ -17,24 +17,34 @@ enum { AS_STORED, TIMES_COSINE, OVER_COSINE, NOTHING };
 
 static int conversion(uint32_t quantity, int32_t value) {
   switch (value) {
-  case BTF_VALUE_BRDF: return quantity == BTF_QUANTITY_BRDF_COS ? OVER_COSINE : AS_STORED;
-  case BTF_VALUE_BRDF_COS: return quantity == BTF_QUANTITY_BRDF_COS ? AS_STORED : TIMES_COSINE;
-  case BTF_VALUE_STORED: return AS_STORED;
-  default: return NOTHING;
+  case BTF_VALUE_BRDF:
+    return quantity == BTF_QUANTITY_BRDF_COS ? OVER_COSINE : AS_STORED;
+  case BTF_VALUE_BRDF_COS:
+    return quantity == BTF_QUANTITY_BRDF_COS ? AS_STORED : TIMES_COSINE;
+  case BTF_VALUE_STORED:
+    return AS_STORED;
+  default:
+    return NOTHING;
   }
 }
 
 static inline float factor_of(int kind, float cosine) {
   switch (kind) {
-  case AS_STORED: return 1.0f;
-  case TIMES_COSINE: return cosine;
-  case OVER_COSINE: return 1.0f / (cosine > 0.02f ? cosine : 0.02f);
-  default: return 0.0f;
+  case AS_STORED:
+    return 1.0f;
+  case TIMES_COSINE:
+    return cosine;
+  case OVER_COSINE:
+    return 1.0f / (cosine > 0.02f ? cosine : 0.02f);
+  default:
+    return 0.0f;
   }
 }
 
 /* 0 for a finite x, NaN otherwise. */
-static inline float defect(float x) { return 0.0f * x; }
+static inline float defect(float x) {
+  return 0.0f * x;
+}
 
 /* The factor where the query is inside the domain, else 0. */
 static inline float domain(float factor, float light_z, float view_z, float defects) {
@@ -43,7 +53,8 @@ static inline float domain(float factor, float light_z, float view_z, float defe
 
 static inline float convert(float stored, float factor) {
   const float value = stored * factor;
-  /* A comparison that is false for NaN; the factor is 0 outside the domain, where -0 shall not leak either. */
+  /* A comparison that is false for NaN; the factor is 0 outside the domain, where -0 shall not leak either.
+   */
   return factor != 0.0f && fabsf(value) <= FLT_MAX ? value : 0.0f;
 }
 
@@ -106,8 +117,10 @@ static void eval_each(const btf_model *model, const btf_batch *b, float *const *
 
 static void eval_block(const btf_model *model, const btf_batch *block, int kind, float *const *out) {
   float factor[BLOCK];
-  if (model->vtbl->eval_n != NULL) model->vtbl->eval_n(model->state, block, out);
-  else eval_each(model, block, out);
+  if (model->vtbl->eval_n != NULL)
+    model->vtbl->eval_n(model->state, block, out);
+  else
+    eval_each(model, block, out);
   batch_factors(block, kind, factor);
   for (uint32_t c = 0; c < model->channels; c++) {
     float *values = out[c];
@@ -148,11 +161,12 @@ void btf_model_eval_n(const btf_model *model, const btf_batch *batch, int32_t va
 
 /* ---- the rest ---- */
 
-void btf_model_texel(const btf_model *model, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view,
-                     float *out) {
+void btf_model_texel(const btf_model *model, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
+                     uint32_t view, float *out) {
   const uint32_t channels = model->channels;
   const int inside = level < model->levels && x < BTFI_MAX(1u, model->width >> level) &&
-                     y < BTFI_MAX(1u, model->height >> level) && light < btf_dirset_count(model->shape.lights) &&
+                     y < BTFI_MAX(1u, model->height >> level) &&
+                     light < btf_dirset_count(model->shape.lights) &&
                      view < btf_dirset_count(model->shape.views);
   if (!inside) {
     for (uint32_t c = 0; c < channels; c++) out[c] = 0.0f;
@@ -183,7 +197,8 @@ float btf_model_pdf(const btf_model *model, const btf_query *query) {
 float btf_model_sample(const btf_model *model, const btf_query *query, const float xi[2], float light[3],
                        float *weight) {
   const int drawable = xi[0] >= 0.0f && xi[0] < 1.0f && xi[1] >= 0.0f && xi[1] < 1.0f;
-  const float radius = sqrtf(drawable ? xi[0] : 0.0f), azimuth = 6.28318530717958648f * (drawable ? xi[1] : 0.0f);
+  const float radius = sqrtf(drawable ? xi[0] : 0.0f),
+              azimuth = 6.28318530717958648f * (drawable ? xi[1] : 0.0f);
   btf_query drawn = *query;
   float pdf;
   /* Cosine-weighted: uniform on the disc, lifted to the hemisphere. */

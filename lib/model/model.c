@@ -29,18 +29,20 @@ static void set_shape(btf_model *model, const btf_dirset *lights, const btf_dirs
 static btf_status check_levels(btf_model *model) {
   model->levels = model->vtbl->levels(model->state);
   if (model->levels < 1 || model->levels > 32)
-    return btfi_fail(model->ctx, BTF_E_PLUGIN, "%s: its state has %u levels; expected 1 to 32", model->vtbl->id,
-                     (unsigned)model->levels);
+    return btfi_fail(model->ctx, BTF_E_PLUGIN, "%s: its state has %u levels; expected 1 to 32",
+                     model->vtbl->id, (unsigned)model->levels);
   return BTF_OK;
 }
 
 static btf_status check_format(btf_context *ctx, const btf_codec_vtbl *v, uint32_t format) {
   if (format > v->format_write)
-    return btfi_fail(ctx, BTF_E_NEWER, "%s: payload version %u is newer than this codec, which reads %u to %u", v->id,
+    return btfi_fail(ctx, BTF_E_NEWER,
+                     "%s: payload version %u is newer than this codec, which reads %u to %u", v->id,
                      (unsigned)format, (unsigned)v->format_read_min, (unsigned)v->format_write);
   if (format < v->format_read_min)
-    return btfi_fail(ctx, BTF_E_UNSUPPORTED, "%s: payload version %u is no longer read; this codec reads %u to %u",
-                     v->id, (unsigned)format, (unsigned)v->format_read_min, (unsigned)v->format_write);
+    return btfi_fail(ctx, BTF_E_UNSUPPORTED,
+                     "%s: payload version %u is no longer read; this codec reads %u to %u", v->id,
+                     (unsigned)format, (unsigned)v->format_read_min, (unsigned)v->format_write);
   return BTF_OK;
 }
 
@@ -56,7 +58,8 @@ btf_status btfi_model_from_payload(const btf_codec *codec, btfi_payload *payload
   btfi_payload_retain(payload);
   model->payload = payload;
   set_shape(model, h->lights, h->views, h->width, h->height, h->channels, h->quantity, h->wrap);
-  status = v->load(btfi_host(), ctx, h->codec_format, &model->shape, btfi_payload_reader(payload), &model->state);
+  status =
+      v->load(btfi_host(), ctx, h->codec_format, &model->shape, btfi_payload_reader(payload), &model->state);
   if (status == BTF_OK) {
     model->vtbl = v;
     status = check_levels(model);
@@ -134,7 +137,8 @@ btf_status btf_model_from_dataset(const btf_dataset *ds, const btf_job *job, btf
   BTFI_TRY(btfi_job_begin(ctx, job, &running));
   BTFI_TRY(create(ctx, &model));
   model->dataset = btf_dataset_retain(ds);
-  set_shape(model, desc->lights, desc->views, desc->width, desc->height, desc->channels, desc->quantity, desc->wrap);
+  set_shape(model, desc->lights, desc->views, desc->width, desc->height, desc->channels, desc->quantity,
+            desc->wrap);
   status = btfi_raw_state(ds, &running.desc, &model->state);
   if (status == BTF_OK) {
     model->vtbl = &btfi_raw_codec;
@@ -190,7 +194,8 @@ static void describe_dataset(const btf_dataset_desc *desc, btf_model_info *info)
 
 btf_status btf_model_describe(const btf_model *model, btf_model_info *io) {
   btf_model_info info = BTF_MODEL_INFO_INIT;
-  if (model == NULL) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_model_describe: the model must not be NULL");
+  if (model == NULL)
+    return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_model_describe: the model must not be NULL");
   info.codec_id = model->vtbl->id;
   info.lights = model->shape.lights;
   info.views = model->shape.views;
@@ -202,7 +207,9 @@ btf_status btf_model_describe(const btf_model *model, btf_model_info *io) {
   info.levels = model->levels;
   info.quantity = model->quantity;
   info.wrap = model->shape.wrap;
-  if (model->payload != NULL) describe_payload(model->payload, &info);
-  else describe_dataset(btfi_dataset_desc(model->dataset), &info);
+  if (model->payload != NULL)
+    describe_payload(model->payload, &info);
+  else
+    describe_dataset(btfi_dataset_desc(model->dataset), &info);
   return btfi_copy_out(model->ctx, "btf_model_info", io, sizeof info, &info, sizeof info);
 }

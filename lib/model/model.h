@@ -20,8 +20,9 @@ struct btf_model {
   btf_model_shape shape;
 };
 
-/* Evaluates a data set as it stands (raw_codec.c); not in the registry. Its load is NULL: the state is made by
- * btfi_raw_state, which retains the data set or holds what it needs of it; `job` is NULL or the desc of a btfi_job. */
+/* Evaluates a data set as it stands (raw_codec.c); not in the registry. Its load is NULL: the state is made
+ * by btfi_raw_state, which retains the data set or holds what it needs of it; `job` is NULL or the desc of a
+ * btfi_job. */
 extern const btf_codec_vtbl btfi_raw_codec;
 btf_status btfi_raw_state(const btf_dataset *ds, const btf_job *job, void **state);
 

@@ -9,7 +9,8 @@
 static btf_status name_file(btf_context *ctx, const btfi_payload *payload, btf_status status) {
   const char *file = btfi_payload_source_name(payload);
   char reason[512];
-  if (status == BTF_OK || file == NULL || strncmp(btf_error_message(), file, strlen(file)) == 0) return status;
+  if (status == BTF_OK || file == NULL || strncmp(btf_error_message(), file, strlen(file)) == 0)
+    return status;
   strncpy(reason, btf_error_message(), sizeof reason - 1);
   reason[sizeof reason - 1] = '\0';
   return btfi_fail(ctx, status, "%s: %s", file, reason);
@@ -29,8 +30,9 @@ btf_status btf_file_load_model(const btf_file *file, uint32_t i, btf_model **out
   id = btfi_payload_header(payload)->codec_id;
   codec = btf_codec_find(ctx, id);
   if (codec == NULL)
-    status = btfi_fail(ctx, BTF_E_UNKNOWN_CODEC, "%s: model %u needs the codec \"%s\", which is not registered",
-                       btfi_payload_source_name(payload), (unsigned)i, id);
+    status =
+        btfi_fail(ctx, BTF_E_UNKNOWN_CODEC, "%s: model %u needs the codec \"%s\", which is not registered",
+                  btfi_payload_source_name(payload), (unsigned)i, id);
   else
     status = name_file(ctx, payload, btfi_model_from_payload(codec, payload, out));
   btfi_payload_release(payload);
@@ -42,8 +44,9 @@ btf_status btf_writer_model(btf_writer *w, const btf_model *model, const btf_job
   if (w == NULL || model == NULL)
     return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_writer_model: writer and model must not be NULL");
   if (model->payload == NULL)
-    return btfi_fail(model->ctx, BTF_E_UNSUPPORTED,
-                     "a data set that is evaluated as it stands is no compressed model and cannot be stored as one");
+    return btfi_fail(
+        model->ctx, BTF_E_UNSUPPORTED,
+        "a data set that is evaluated as it stands is no compressed model and cannot be stored as one");
   BTFI_TRY(btfi_job_begin(model->ctx, job, &running));
   return btfi_writer_payload(w, model->payload, &running.desc);
 }
@@ -66,8 +69,10 @@ btf_status btf_model_load(btf_context *ctx, const char *path, btf_model **out) {
     return btfi_fail(ctx, BTF_E_INVALID_ARG, "btf_model_load: context, path and out must not be NULL");
   if (stat(path, &info) == 0 && S_ISDIR(info.st_mode)) return load_folder(ctx, path, out);
   BTFI_TRY(btf_file_open_path(ctx, path, 0, &file));
-  if (btf_file_model_count(file) == 0) status = btfi_fail(ctx, BTF_E_UNSUPPORTED, "%s: holds no model", path);
-  else status = btf_file_load_model(file, 0, out);
+  if (btf_file_model_count(file) == 0)
+    status = btfi_fail(ctx, BTF_E_UNSUPPORTED, "%s: holds no model", path);
+  else
+    status = btf_file_load_model(file, 0, out);
   btf_file_close(file);
   return status;
 }

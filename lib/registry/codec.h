@@ -19,8 +19,8 @@ typedef struct btfi_registry {
   uint32_t module_count, module_capacity;
 } btfi_registry;
 
-/* The one door: checks everything about a codec and makes a private copy that is not yet visible. `builtin` allows
- * ids without a dot. */
+/* The one door: checks everything about a codec and makes a private copy that is not yet visible. `builtin`
+ * allows ids without a dot. */
 btf_status btfi_codec_create(btf_context *ctx, const btf_codec_vtbl *user, bool builtin, btf_codec **out);
 void btfi_codec_destroy(btf_codec *codec);
 
@@ -34,8 +34,8 @@ typedef struct btfi_value {
   char *text; /* as given; NULL = the default */
   double number;
 } btfi_value;
-/* Parses and checks; `number` becomes the number, 0 or 1, or the index of the choice. The message names the parameter,
- * the value and what it takes. */
+/* Parses and checks; `number` becomes the number, 0 or 1, or the index of the choice. The message names the
+ * parameter, the value and what it takes. */
 btf_status btfi_param_parse(btf_context *ctx, const btf_param_desc *param, const char *text, double *number);
 
 #endif

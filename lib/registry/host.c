@@ -7,14 +7,15 @@
 
 #include <string.h>
 
-static btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *desc, const btf_job *job, double from, double to,
-                           btf_svd_result *out) {
+static btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *desc, const btf_job *job, double from,
+                           double to, btf_svd_result *out) {
   (void)desc;
   (void)job;
   (void)from;
   (void)to;
   if (out != NULL) memset(out, 0, sizeof *out);
-  return btfi_fail(ctx, BTF_E_UNSUPPORTED, "this build of libbtf evaluates only; it was made without LIBBTF_FIT");
+  return btfi_fail(ctx, BTF_E_UNSUPPORTED,
+                   "this build of libbtf evaluates only; it was made without LIBBTF_FIT");
 }
 
 static void btfi_svd_free(btf_context *ctx, btf_svd_result *result) {
@@ -55,4 +56,6 @@ static const btf_host host = {
     .mip_filter = btfi_mip_filter,
 };
 
-const btf_host *btfi_host(void) { return &host; }
+const btf_host *btfi_host(void) {
+  return &host;
+}

@@ -15,7 +15,9 @@ struct btf_options {
 
 /* ---- reading one value ---- */
 
-static bool is_digit(char c) { return c >= '0' && c <= '9'; }
+static bool is_digit(char c) {
+  return c >= '0' && c <= '9';
+}
 
 /* A decimal number by the grammar below, whatever the locale: [+-] digits [. digits] [e [+-] digits]. */
 static bool parse_number(const char *text, bool whole, double *out) {
@@ -53,10 +55,14 @@ static void range_text(const btf_param_desc *p, char out[128]) {
   char low[32], high[32];
   number_text(p->minimum, low);
   number_text(p->maximum, high);
-  if (isfinite(p->minimum) && isfinite(p->maximum)) snprintf(out, 128, "%s to %s", low, high);
-  else if (isfinite(p->minimum)) snprintf(out, 128, "%s and more", low);
-  else if (isfinite(p->maximum)) snprintf(out, 128, "%s and less", high);
-  else snprintf(out, 128, "any");
+  if (isfinite(p->minimum) && isfinite(p->maximum))
+    snprintf(out, 128, "%s to %s", low, high);
+  else if (isfinite(p->minimum))
+    snprintf(out, 128, "%s and more", low);
+  else if (isfinite(p->maximum))
+    snprintf(out, 128, "%s and less", high);
+  else
+    snprintf(out, 128, "any");
   if (p->unit != NULL && *p->unit != '\0') snprintf(out + strlen(out), 128 - strlen(out), " %.40s", p->unit);
 }
 
@@ -107,9 +113,12 @@ btf_status btfi_param_parse(btf_context *ctx, const btf_param_desc *param, const
     is_number = parse_number(text, param->type == BTF_PARAM_INT, number);
     if (is_number && *number >= param->minimum && *number <= param->maximum) return BTF_OK;
     return refuse_number(ctx, param, text, is_number);
-  case BTF_PARAM_BOOL: return parse_bool(ctx, param, text, number);
-  case BTF_PARAM_CHOICE: return parse_choice(ctx, param, text, number);
-  default: return BTF_OK;
+  case BTF_PARAM_BOOL:
+    return parse_bool(ctx, param, text, number);
+  case BTF_PARAM_CHOICE:
+    return parse_choice(ctx, param, text, number);
+  default:
+    return BTF_OK;
   }
 }
 
@@ -188,8 +197,8 @@ btf_status btf_options_get(const btf_options *options, const char *name, char *b
   if (p == NULL) return refuse_name(options->codec, name);
   text = options->values[i].text != NULL ? options->values[i].text : p->default_text;
   if (strlen(text) >= size)
-    return btfi_fail(options->codec->ctx, BTF_E_LIMIT, "%s: its value needs %llu bytes, the buffer has %llu", p->name,
-                     (unsigned long long)strlen(text) + 1, (unsigned long long)size);
+    return btfi_fail(options->codec->ctx, BTF_E_LIMIT, "%s: its value needs %llu bytes, the buffer has %llu",
+                     p->name, (unsigned long long)strlen(text) + 1, (unsigned long long)size);
   memcpy(buf, text, strlen(text) + 1);
   return BTF_OK;
 }
@@ -204,7 +213,9 @@ void btf_options_release(btf_options *options) {
   btf_context_release(ctx);
 }
 
-const btf_codec *btfi_options_codec(const btf_options *options) { return options->codec; }
+const btf_codec *btfi_options_codec(const btf_options *options) {
+  return options->codec;
+}
 
 double btfi_option(const btf_options *options, const char *name) {
   uint32_t i;

@@ -12,7 +12,8 @@ static btf_status check_codecs(btf_context *ctx, const btf_plugin_info *info, bt
   /* Codecs of this project may be built as modules and keep their short ids. */
   const bool own = info->name != NULL && strncmp(info->name, "libbtf ", 7) == 0;
   for (uint32_t i = 0; i < info->codec_count; i++) {
-    if (info->codecs[i] == NULL) return btfi_fail(ctx, BTF_E_PLUGIN, "codec %u of the module is NULL", (unsigned)i);
+    if (info->codecs[i] == NULL)
+      return btfi_fail(ctx, BTF_E_PLUGIN, "codec %u of the module is NULL", (unsigned)i);
     BTFI_TRY(btfi_codec_create(ctx, info->codecs[i], own, &codecs[i]));
     for (uint32_t k = 0; k < i; k++)
       if (strcmp(codecs[k]->vtbl.id, codecs[i]->vtbl.id) == 0)
@@ -45,8 +46,10 @@ static btf_status add_codecs(btf_context *ctx, const char *path, const btf_plugi
   if (codecs == NULL) return btfi_alloc_status();
   status = check_codecs(ctx, info, codecs);
   for (uint32_t i = 0; i < info->codec_count; i++) {
-    if (status == BTF_OK) btfi_registry_add(ctx, codecs[i]);
-    else btfi_codec_destroy(codecs[i]);
+    if (status == BTF_OK)
+      btfi_registry_add(ctx, codecs[i]);
+    else
+      btfi_codec_destroy(codecs[i]);
   }
   btfi_free(ctx, codecs);
   if (status == BTF_E_PLUGIN || status == BTF_E_ABI) {
@@ -83,8 +86,9 @@ btf_status btf_context_load_plugin(btf_context *ctx, const char *absolute_path) 
   BTFI_TRY(open_module(ctx, absolute_path, &module));
   symbol = dlsym(module, BTF_PLUGIN_ENTRY_NAME);
   if (symbol == NULL) {
-    status = btfi_fail(ctx, BTF_E_PLUGIN, "%s: has no entry point %s; it is no libbtf plug-in of this generation",
-                       absolute_path, BTF_PLUGIN_ENTRY_NAME);
+    status =
+        btfi_fail(ctx, BTF_E_PLUGIN, "%s: has no entry point %s; it is no libbtf plug-in of this generation",
+                  absolute_path, BTF_PLUGIN_ENTRY_NAME);
   } else {
     memcpy(&entry, &symbol, sizeof entry); /* the way POSIX means a symbol to become a function */
     status = add_codecs(ctx, absolute_path, entry(LIBBTF_ABI));

@@ -92,17 +92,29 @@ const btf_codec *btf_codec_find(const btf_context *ctx, const char *id) {
   return NULL;
 }
 
-const char *btf_codec_id(const btf_codec *codec) { return codec->vtbl.id; }
-const char *btf_codec_title(const btf_codec *codec) { return codec->vtbl.title; }
-uint64_t btf_codec_caps(const btf_codec *codec) { return codec->vtbl.caps; }
-uint32_t btf_codec_param_count(const btf_codec *codec) { return codec->param_count; }
+const char *btf_codec_id(const btf_codec *codec) {
+  return codec->vtbl.id;
+}
+const char *btf_codec_title(const btf_codec *codec) {
+  return codec->vtbl.title;
+}
+uint64_t btf_codec_caps(const btf_codec *codec) {
+  return codec->vtbl.caps;
+}
+uint32_t btf_codec_param_count(const btf_codec *codec) {
+  return codec->param_count;
+}
 
 btf_status btf_codec_param(const btf_codec *codec, uint32_t i, btf_param_desc *io) {
   if (codec == NULL || i >= codec->param_count)
-    return btfi_fail(codec != NULL ? codec->ctx : NULL, BTF_E_INVALID_ARG, "btf_codec_param: there is no parameter %u",
-                     i);
+    return btfi_fail(codec != NULL ? codec->ctx : NULL, BTF_E_INVALID_ARG,
+                     "btf_codec_param: there is no parameter %u", i);
   return btfi_copy_out(codec->ctx, "btf_param_desc", io, sizeof *io, &codec->params[i], sizeof *io);
 }
 
-const btf_codec_vtbl *btfi_codec_vtbl(const btf_codec *codec) { return &codec->vtbl; }
-btf_context *btfi_codec_context(const btf_codec *codec) { return codec->ctx; }
+const btf_codec_vtbl *btfi_codec_vtbl(const btf_codec *codec) {
+  return &codec->vtbl;
+}
+btf_context *btfi_codec_context(const btf_codec *codec) {
+  return codec->ctx;
+}

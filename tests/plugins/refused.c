@@ -32,7 +32,8 @@
 #define SECOND_EVAL eval
 #endif
 
-static const btf_param_desc level = {sizeof level, "level", "A number.", NULL, DEFAULT, NULL, 0.0, 10.0, BTF_PARAM_INT, 0};
+static const btf_param_desc level = {sizeof level, "level", "A number.", NULL,          DEFAULT,
+                                     NULL,         0.0,     10.0,        BTF_PARAM_INT, 0};
 static const btf_param_desc *const params[] = {&level, NULL};
 
 static btf_status load(const btf_host *host, btf_context *ctx, uint32_t format, const btf_model_shape *shape,
@@ -41,17 +42,28 @@ static btf_status load(const btf_host *host, btf_context *ctx, uint32_t format, 
   *state = NULL;
   return host->fail(ctx, BTF_E_UNSUPPORTED, "this codec loads nothing");
 }
-static void destroy(const btf_host *host, btf_context *ctx, void *state) { host->free(ctx, state); }
-static uint32_t levels(const void *state) { return state != NULL; }
-static uint64_t resident_bytes(const void *state) { return state != NULL; }
-static void eval(const void *state, const btf_query *query, float *out) { out[0] = state != NULL ? query->lod : 0.0f; }
-static void texel(const void *state, uint32_t l, uint32_t x, uint32_t y, uint32_t light, uint32_t view, float *out) {
+static void destroy(const btf_host *host, btf_context *ctx, void *state) {
+  host->free(ctx, state);
+}
+static uint32_t levels(const void *state) {
+  return state != NULL;
+}
+static uint64_t resident_bytes(const void *state) {
+  return state != NULL;
+}
+static void eval(const void *state, const btf_query *query, float *out) {
+  out[0] = state != NULL ? query->lod : 0.0f;
+}
+static void texel(const void *state, uint32_t l, uint32_t x, uint32_t y, uint32_t light, uint32_t view,
+                  float *out) {
   out[0] = state != NULL ? (float)(l + x + y + light + view) : 0.0f;
 }
 
 #define CODEC(id_, eval_)                                                                                    \
-  {sizeof(btf_codec_vtbl), CODEC_ABI, id_, "Refused", "1", 0, params, 1, 1, NULL,                            \
-   load, destroy, levels, resident_bytes, eval_, NULL, texel}
+  {                                                                                                          \
+    sizeof(btf_codec_vtbl), CODEC_ABI, id_, "Refused", "1", 0, params, 1, 1, NULL, load, destroy, levels,    \
+        resident_bytes, eval_, NULL, texel                                                                   \
+  }
 static const btf_codec_vtbl first = CODEC(FIRST_ID, eval), second = CODEC(SECOND_ID, SECOND_EVAL);
 static const btf_codec_vtbl *const codecs[] = {&first, &second};
 #if defined(REFUSED_EMPTY)

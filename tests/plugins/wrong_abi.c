@@ -1,9 +1,11 @@
 /* SPDX-License-Identifier: MIT */
-/* The twin of the example plug-in from another generation: the same entry point, another ABI number. Must be refused before any
- * of its codecs is looked at. */
+/* The twin of the example plug-in from another generation: the same entry point, another ABI number. Must be
+ * refused before any of its codecs is looked at. */
 #include <btf/btf_plugin.h>
 
 static const btf_plugin_info info = {sizeof info, LIBBTF_ABI + 1, "wrong abi", "MIT", NULL, 0, 0};
 
 LIBBTF_API const btf_plugin_info *BTF_PLUGIN_ENTRY(uint32_t host_abi);
-const btf_plugin_info *BTF_PLUGIN_ENTRY(uint32_t host_abi) { return host_abi != 0 ? &info : NULL; }
+const btf_plugin_info *BTF_PLUGIN_ENTRY(uint32_t host_abi) {
+  return host_abi != 0 ? &info : NULL;
+}
