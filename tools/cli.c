@@ -20,16 +20,34 @@ static const cli_option common_options[] = {
 
 enum { help_column = 30, most_threads = 4096 };
 
+/* ---- looking up ---- */
+
+static const cli_option *find_long(const cli_command *command, const char *name, size_t length) {
+  const cli_option *tables[2] = {command->options, common_options};
+  for (int t = 0; t < 2; t++)
+    for (const cli_option *o = tables[t]; o->name != NULL; o++)
+      if (strlen(o->name) == length && memcmp(o->name, name, length) == 0) return o;
+  return NULL;
+}
+
+static const cli_option *find_letter(const cli_command *command, char letter) {
+  const cli_option *tables[2] = {command->options, common_options};
+  for (int t = 0; t < 2; t++)
+    for (const cli_option *o = tables[t]; o->name != NULL; o++)
+      if (o->letter == letter) return o;
+  return NULL;
+}
+
 /* ---- help ---- */
 
-static void print_option(const cli_option *option, FILE *out) {
+static void print_option(const cli_option *option, char letter, FILE *out) {
   char left[80];
   const char *rest = option->summary;
   bool first = true;
   const char *argument = option->argument != NULL ? option->argument : "";
   const char *space = option->argument != NULL ? " " : "";
-  if (option->letter != 0)
-    snprintf(left, sizeof left, "  -%c, --%s%s%s", option->letter, option->name, space, argument);
+  if (letter != 0)
+    snprintf(left, sizeof left, "  -%c, --%s%s%s", letter, option->name, space, argument);
   else
     snprintf(left, sizeof left, "      --%s%s%s", option->name, space, argument);
   if (strlen(left) + 2 > help_column) {
@@ -56,8 +74,10 @@ void cli_print_help(const cli_command *command, FILE *out) {
     form = line_end != NULL ? line_end + 1 : NULL;
   }
   fprintf(out, "\n%c%s.\n\nOptions:\n", toupper((unsigned char)command->summary[0]), command->summary + 1);
-  for (const cli_option *o = command->options; o->name != NULL; o++) print_option(o, out);
-  for (const cli_option *o = common_options; o->name != NULL; o++) print_option(o, out);
+  for (const cli_option *o = command->options; o->name != NULL; o++) print_option(o, o->letter, out);
+  /* A letter that the command uses itself is not the common option's there. */
+  for (const cli_option *o = common_options; o->name != NULL; o++)
+    print_option(o, find_letter(command, o->letter) == o ? o->letter : 0, out);
   if (command->details != NULL) fprintf(out, "\n%s\n", command->details);
 }
 
@@ -103,22 +123,6 @@ const char *cli_near_miss(const char *given, const char *const *words) {
 }
 
 /* ---- parsing ---- */
-
-static const cli_option *find_long(const cli_command *command, const char *name, size_t length) {
-  const cli_option *tables[2] = {command->options, common_options};
-  for (int t = 0; t < 2; t++)
-    for (const cli_option *o = tables[t]; o->name != NULL; o++)
-      if (strlen(o->name) == length && memcmp(o->name, name, length) == 0) return o;
-  return NULL;
-}
-
-static const cli_option *find_letter(const cli_command *command, char letter) {
-  const cli_option *tables[2] = {command->options, common_options};
-  for (int t = 0; t < 2; t++)
-    for (const cli_option *o = tables[t]; o->name != NULL; o++)
-      if (o->letter == letter) return o;
-  return NULL;
-}
 
 static int unknown_option(const cli *c, const char *name, size_t length) {
   const char *words[64];

@@ -91,3 +91,16 @@ run codecs
 expect "codecs" 0 ""
 run codecs --json
 expect_json "codecs --json"
+
+# The manual knows every command, and formats without a warning.
+manual=$here/../../docs/man/btf.1
+for command in $commands; do
+  grep -q "^.fB$command.fR" "$manual" && pass || fail "the manual lacks $command"
+  grep -q "^## .*$command" "$here/../../docs/command-line.md" && pass || fail "docs/command-line.md lacks $command"
+done
+if command -v groff >/dev/null; then
+  groff -man -ww -Tutf8 -z "$manual" 2>err.txt
+  [ $? = 0 ] && [ ! -s err.txt ] && pass || fail "warnings of the manual" "$(cat err.txt)"
+else
+  skip "the manual's format: no groff"
+fi

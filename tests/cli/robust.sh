@@ -62,6 +62,11 @@ expect_json "odd name in JSON"
 run info "$odd"
 expect "odd name" 0 "2 x 1"
 [[ $out != *$'\033'* ]] && pass || fail "an escape sequence reaches the terminal"
+for bytes in $'caf\303\251' $'latin\351' $'over\300\257' $'cut\342\202' $'half\355\240\200'; do
+  make_tiny "$bytes.btfd" brdf
+  run info --json "$bytes.btfd"
+  expect_json "bytes in a name: $(printf %s "$bytes" | od -An -tx1)"
+done
 run info "no such $odd"
 expect "odd name in a message" 2 "no such odd"
 
