@@ -23,8 +23,8 @@ int main(int argc, char **argv) {
     return 2;
   }
   btf_model_describe(model, &info);
-  printf("%s: %u x %u texels, %u channels, %u levels, %.1f MiB to evaluate\n", info.codec_id, info.width, info.height,
-         info.channels, info.levels, (double)info.resident_bytes / 1048576.0);
+  printf("%s: %u x %u texels, %u channels, %u levels, %.1f MiB to evaluate\n", info.codec_id, info.width,
+         info.height, info.channels, info.levels, (double)info.resident_bytes / 1048576.0);
 
   /* One query: f per channel in 1/sr, without the cosine. */
   btf_query query = {{0.0f, 0.6f, 0.8f}, {0.6f, 0.0f, 0.8f}, {0.25f, 0.75f}, 0.0f, 0};

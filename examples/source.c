@@ -1,8 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 /*
- * A data set that is computed on demand: the library pulls blocks of it while it fits, and never holds the whole.
- * Replace `read_block` by a reader of your own measurement format.
- *   example_source brushed.btfz
+ * A data set that is computed on demand: the library pulls blocks of it while it fits, and never holds the
+ * whole. Replace `read_block` by a reader of your own measurement format. example_source brushed.btfz
  */
 #include <btf/btf.h>
 
@@ -29,8 +28,8 @@ static btf_status read_block(void *user, const btf_block *block, void *dst, cons
         for (uint32_t x = 0; x < block->width; x++) {
           char *sample = (char *)dst + (ptrdiff_t)v * strides->view + (ptrdiff_t)l * strides->light +
                          (ptrdiff_t)y * strides->y + (ptrdiff_t)x * strides->x;
-          *(float *)sample = reflectance(m->lights + 3 * (block->light0 + l), m->views + 3 * (block->view0 + v),
-                                         block->x0 + x, block->y0 + y);
+          *(float *)sample = reflectance(m->lights + 3 * (block->light0 + l),
+                                         m->views + 3 * (block->view0 + v), block->x0 + x, block->y0 + y);
         }
   return BTF_OK; /* or: return btf_source_error(BTF_E_IO, "image %u is unreadable", number); */
 }

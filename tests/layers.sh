@@ -18,10 +18,9 @@ for layer in "${order[@]}"; do
     echo "$bad"
   fi
 done
-for folder in codecs tools examples bench; do
+for folder in codecs tools examples; do
   case $folder in
     codecs) bad=$(grep -rnE '#include [<"].*btf' codecs --include=*.[ch] | grep -vE '<btf/btf_(plugin|half|sampling)\.h>|test_|"btf_test\.h"' || true) ;;
-    bench) bad=$(grep -rnE '#include "(\.\./)*lib/' $folder --include=*.[ch] || true) ;;
     *) bad=$(grep -rnE '#include "(\.\./)*(lib|base|io|directions|dataset|svd|container|registry|model)/' $folder --include=*.[ch] || true) ;;
   esac
   if [ -z "$bad" ]; then

@@ -35,7 +35,8 @@ int main(void) {
     return 5;
   }
   btf_model_eval(model, &query, &value);
-  printf("libbtf %u.%u.%u: %.4f\n", btf_version() >> 16, btf_version() >> 8 & 255u, btf_version() & 255u, value);
+  printf("libbtf %u.%u.%u: %.4f\n", btf_version() >> 16, btf_version() >> 8 & 255u, btf_version() & 255u,
+         value);
   btf_model_release(model);
   btf_dataset_release(ds);
   btf_dirset_release(directions);
