@@ -17,7 +17,7 @@
 #include "trace/sampling.h"
 
 #define BUMP_CELLS 14
-#define LAYER_GAP 0.022f /* height of the bumps over the ground, in tiles */
+#define LAYER_GAP 0.010f /* height of the bumps over the ground, in tiles */
 #define STEEPEST 6.0f    /* tangent of the flattest ray that shifts the ground further */
 #define CHUNK 64u        /* texels computed together */
 
@@ -62,12 +62,12 @@ static float bump_height(float u, float v, uint32_t seed) {
   const noise_cell cell = noise_cells(u, v, BUMP_CELLS, seed);
   const float size = 0.42f + 0.30f * sampling_unit(cell.id), r = cell.nearest / size;
   const float dome = r < 1.0f ? (1.0f - r * r) * (1.0f - r * r) : 0.0f;
-  return 0.030f * dome * (0.7f + 0.6f * sampling_unit(sampling_mix(cell.id))) +
-         0.0018f * noise_octaves(u, v, 40, 40, 2, 0.6f, seed + 1);
+  return 0.015f * dome * (0.7f + 0.6f * sampling_unit(sampling_mix(cell.id))) +
+         0.0010f * noise_octaves(u, v, 40, 40, 2, 0.6f, seed + 1);
 }
 
 static float ground_height(float u, float v, uint32_t seed) {
-  return 0.008f * noise_octaves(u, v, 9, 9, 4, 0.6f, seed + 2);
+  return 0.004f * noise_octaves(u, v, 9, 9, 4, 0.6f, seed + 2);
 }
 
 static void set_normal(float *slope_x, float *slope_y, float *upright, float dx, float dy) {
@@ -89,7 +89,7 @@ static void describe_texel(const bumps *b, size_t i, float u, float v, uint32_t 
   const float tone = (0.8f + 0.4f * sampling_unit(sampling_mix(cell.id + 1))) *
                      (1.0f + 0.25f * noise_octaves(u, v, 60, 60, 2, 0.7f, seed + 3));
   const uint32_t dice = sampling_mix(cell.id + 2) % 1000u;
-  float alpha = 0.18f + 0.35f * sampling_unit(sampling_mix(cell.id + 3)), dx, dy;
+  float alpha = 0.30f + 0.30f * sampling_unit(sampling_mix(cell.id + 3)), dx, dy;
   float gloss[3] = {0.05f, 0.05f, 0.05f};
 
   dx = (bump_height(u + step, v, seed) - bump_height(u - step, v, seed)) / (2.0f * step);
@@ -99,7 +99,7 @@ static void describe_texel(const bumps *b, size_t i, float u, float v, uint32_t 
     /* A metal bump. */
     static const float metal[3] = {0.90f, 0.66f, 0.34f};
     memcpy(gloss, metal, sizeof gloss);
-    alpha = 0.14f;
+    alpha = 0.24f;
     for (int c = 0; c < 3; ++c) map[RED + c][i] *= 0.05f;
   }
   const uint32_t speck =
@@ -108,13 +108,13 @@ static void describe_texel(const bumps *b, size_t i, float u, float v, uint32_t 
     /* A mica flake, turned anyhow. */
     dx = 1.6f * (sampling_unit(sampling_mix(speck + 1)) - 0.5f);
     dy = 1.6f * (sampling_unit(sampling_mix(speck + 2)) - 0.5f);
-    for (int c = 0; c < 3; ++c) gloss[c] = 0.7f;
-    alpha = 0.10f;
+    for (int c = 0; c < 3; ++c) gloss[c] = 0.5f;
+    alpha = 0.16f;
   }
   set_normal(&map[SLOPE_X][i], &map[SLOPE_Y][i], &map[UPRIGHT][i], dx, dy);
   for (int c = 0; c < 3; ++c) map[GLOSS_R + c][i] = gloss[c];
   map[ALPHA2][i] = alpha * alpha;
-  map[HORIZON][i] = 0.30f * noise_step(0.030f, 0.0f, here);
+  map[HORIZON][i] = 0.30f * noise_step(0.015f, 0.0f, here);
   map[LEAN_X][i] = (bump_height(u + far, v, seed) - bump_height(u - far, v, seed)) / (2.0f * far);
   map[LEAN_Y][i] = (bump_height(u, v + far, seed) - bump_height(u, v - far, seed)) / (2.0f * far);
   map[COVER][i] = 1.0f - noise_step(0.85f * size, 1.05f * size, cell.nearest);
