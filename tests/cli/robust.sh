@@ -75,11 +75,3 @@ for locale in $(locale -a 2>/dev/null | grep -E '^(de_DE|fr_FR|fi_FI)' | head -2
   LC_ALL=$locale "$btf" eval tiny.btfd -f query.txt 2>/dev/null | head -1 >out.txt
   [ "$(cat out.txt)" = 0.200000003 ] && pass || fail "numbers in $locale" "$(cat out.txt)"
 done
-
-# Plug-in folders: a module that is none is left out with a note; --quiet keeps silent.
-mkdir plugins
-printf 'not a module' >plugins/none.so
-BTF_PLUGIN_PATH=$work/plugins "$btf" codecs >out.txt 2>err.txt
-[ $? = 0 ] && grep -q "none.so" err.txt && pass || fail "a broken module in the plug-in folder" "$(cat err.txt)"
-BTF_PLUGIN_PATH=$work/plugins "$btf" codecs --quiet >out.txt 2>err.txt
-[ $? = 0 ] && [ ! -s err.txt ] && pass || fail "--quiet" "$(cat err.txt)"

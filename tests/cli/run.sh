@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT
-# Golden tests of the btf command. Usage: run.sh BTF TESTS_CLI_DIR; UPDATE=1 rewrites the recorded help texts.
-# A check that cannot be made here (no python3, no FMF codec) is counted as skipped.
+# Golden tests of the btf command. Usage: run.sh BTF TESTS_CLI_DIR [PLUGIN], the example plug-in; UPDATE=1 rewrites the
+# recorded help texts. A check that cannot be made here (no python3, no FMF codec) is counted as skipped.
 set -u
 btf=$1
 here=$2
+plugin=${3:-}
 work=$(mktemp -d "${TMPDIR:-/tmp}/btf-cli-XXXXXX")
 trap 'rm -rf "$work"' EXIT
 cd "$work" || exit 1
@@ -93,7 +94,7 @@ leftovers() {
   ls -A "$folder" | grep -vxF -e "${1:-//}" -e "${2:-//}" || true
 }
 
-for part in basics values encode robust; do
+for part in basics values encode plugins robust; do
   # shellcheck source=/dev/null
   . "$here/$part.sh"
 done
