@@ -537,7 +537,7 @@ static void descriptions_come_back_complete(void **state) {
 typedef struct watched_source {
   const test_cube *cube;
   atomic_int inside, most_inside, calls;
-  size_t most_bytes;
+  atomic_size_t most_bytes;
   btf_status status;
   int say_why;
 } watched_source;
@@ -549,7 +549,7 @@ static btf_status watched_read(void *user, const btf_block *b, void *dst, const 
   atomic_fetch_add(&source->calls, 1);
   const size_t bytes =
       (size_t)b->views * b->lights * b->width * b->height * source->cube->channels * source->cube->size;
-  if (bytes > source->most_bytes) source->most_bytes = bytes;
+  if (bytes > atomic_load(&source->most_bytes)) atomic_store(&source->most_bytes, bytes);
   for (size_t i = 0; i<bytes; i += bytes> 4096 ? 4096 : 1) ((unsigned char *)dst)[i] = 1;
   (void)s;
   memset(dst, 1, bytes); /* dense, as the reader asks for it */
@@ -586,7 +586,7 @@ static void sources_are_read_in_bounded_pieces(void **state) {
     for (size_t i = 0; i < cube.count; ++i)
       if (dst[i] != 1.0f / 255.0f) fail_msg("sample %zu is %g", i, (double)dst[i]);
     assert_true(atomic_load(&source.calls) >= 2);
-    assert_true(source.most_bytes <= 16 << 20);
+    assert_true(atomic_load(&source.most_bytes) <= 16 << 20);
     if (!(flags & BTF_DATASET_CONCURRENT_READ)) assert_int_equal(atomic_load(&source.most_inside), 1);
     btf_dataset_release(ds);
   }
