@@ -59,9 +59,11 @@ static inline float convert(float stored, float factor) {
 }
 
 static float query_factor(const btf_query *q, int kind) {
-  const float defects = defect(q->light[0]) + defect(q->light[1]) + defect(q->light[2]) + defect(q->view[0]) +
-                        defect(q->view[1]) + defect(q->view[2]) + defect(q->uv[0]) + defect(q->uv[1]) +
-                        defect(q->lod);
+  /* Summed in pairs, since one long chain of additions would take longer than all the rest. */
+  const float light = defect(q->light[0]) + defect(q->light[1]),
+              view = defect(q->view[0]) + defect(q->view[1]);
+  const float heights = defect(q->light[2]) + defect(q->view[2]), uv = defect(q->uv[0]) + defect(q->uv[1]);
+  const float defects = ((light + view) + (heights + uv)) + defect(q->lod);
   return domain(factor_of(kind, q->light[2]), q->light[2], q->view[2], defects);
 }
 
