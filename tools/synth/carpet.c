@@ -7,9 +7,9 @@
 enum { PILE = 0, BACKING = 1 };
 
 #define TUFTS 9 /* each way */
-#define STRANDS 34
-#define PILE_HEIGHT 0.15f
-#define STRAND 0.0085f
+#define STRANDS 26
+#define PILE_HEIGHT 0.13f
+#define STRAND 0.0120f
 
 static float draw(uint32_t *state) {
   *state = sampling_hash(*state, 1u);
@@ -20,7 +20,7 @@ static void add_strand(mesostructure *m, float x, float y, uint32_t object, uint
   enum { STEPS = 7, SIDES = 6 };
   tube_point points[STEPS];
   const float tau = 6.28318530718f, around = tau * draw(random), out = sqrtf(draw(random));
-  const float foot = 0.20f / TUFTS * out, lean = 0.045f * out + 0.030f * draw(random);
+  const float foot = 0.34f / TUFTS * out, lean = 0.022f * out + 0.024f * draw(random);
   const float turn = around + 0.9f * (draw(random) - 0.5f),
               tall = PILE_HEIGHT * (0.78f + 0.22f * draw(random));
   const vec3 root = vec3_make(x + foot * cosf(around), y + foot * sinf(around), 0.0f);
@@ -46,7 +46,8 @@ static btf_status build(mesostructure *m) {
     for (uint32_t column = 0; column < TUFTS; ++column) {
       const float x = ((float)column + 0.5f + 0.25f * (draw(&random) - 0.5f)) / TUFTS;
       const float y = ((float)row + 0.5f + 0.25f * (draw(&random) - 0.5f)) / TUFTS;
-      for (uint32_t i = 0; i < STRANDS; ++i) add_strand(m, x, y, row * TUFTS + column, &random);
+      for (uint32_t i = 0; i < STRANDS; ++i)
+        add_strand(m, x, y, (row * TUFTS + column) * STRANDS + i, &random);
     }
   meso_add_plane(m, BACKING, 0.0f);
   return BTF_OK;
@@ -54,12 +55,12 @@ static btf_status build(mesostructure *m) {
 
 static void shade(surface_hit *hit, surface_brdf *out) {
   static const float palette[4][3] = {
-      {0.42f, 0.33f, 0.22f}, {0.36f, 0.27f, 0.17f}, {0.47f, 0.40f, 0.29f}, {0.17f, 0.20f, 0.24f}};
-  const uint32_t bits = sampling_mix(hit->object + 5u);
-  const float *colour = palette[bits % 9u < 2u ? 3u : bits % 3u];
-  const float tone = 0.85f + 0.3f * sampling_unit(sampling_mix(bits));
+      {0.66f, 0.54f, 0.38f}, {0.60f, 0.46f, 0.30f}, {0.72f, 0.62f, 0.47f}, {0.20f, 0.27f, 0.36f}};
+  const uint32_t tuft = sampling_mix(hit->object / STRANDS + 5u);
+  const float *colour = palette[tuft % 9u < 2u ? 3u : tuft % 3u];
+  const float tone = 0.78f + 0.3f * sampling_unit(sampling_mix(hit->object));
   for (int c = 0; c < 3; ++c) {
-    out->diffuse[c] = hit->part == PILE ? colour[c] * tone * (0.75f + 0.25f * hit->s) : 0.06f;
+    out->diffuse[c] = hit->part == PILE ? colour[c] * tone * (0.7f + 0.3f * hit->s) : 0.06f;
     out->f0[c] = 0.05f;
   }
   out->gloss = hit->part == PILE ? 0.8f : 0.0f;

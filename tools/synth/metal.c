@@ -12,7 +12,7 @@ static float scratch(float u, float v, uint32_t seed) {
     const float across = (v - slope * u - shift) - floorf(v - slope * u - shift) - 0.5f;
     const float run = noise_step(0.15f, 0.35f, noise_smooth(u, v, 2, 2, seed + 40 + i));
     deepest =
-        fmaxf(deepest, run * (1.0f - noise_step(0.0f, 0.009f * sqrtf(1.0f + slope * slope), fabsf(across))));
+        fmaxf(deepest, run * (1.0f - noise_step(0.0f, 0.007f * sqrtf(1.0f + slope * slope), fabsf(across))));
   }
   return deepest;
 }
@@ -22,7 +22,7 @@ static float height(float u, float v, const void *user) {
   const float grooves = 0.0009f * noise_smooth(u, v, 2, 128, seed) +
                         0.0014f * noise_smooth(u, v, 3, 64, seed + 1) +
                         0.0016f * noise_smooth(u, v, 2, 23, seed + 2);
-  return grooves - 0.006f * scratch(u, v, seed + 3);
+  return grooves - 0.0035f * scratch(u, v, seed + 3);
 }
 
 static btf_status build(mesostructure *m) {

@@ -37,23 +37,28 @@ float noise_octaves(float u, float v, uint32_t nu, uint32_t nv, uint32_t octaves
 noise_cell noise_cells(float u, float v, uint32_t n, uint32_t seed) {
   const float x = (u - floorf(u)) * (float)n, y = (v - floorf(v)) * (float)n;
   const int cx = (int)x, cy = (int)y;
-  noise_cell cell = {8.0f, 8.0f, 0.0f, 0.0f, 0};
-  for (int oy = -2; oy <= 2; ++oy)
-    for (int ox = -2; ox <= 2; ++ox) {
-      const uint32_t ix = (uint32_t)(cx + ox + (int)n) % n, iy = (uint32_t)(cy + oy + (int)n) % n;
-      const uint32_t bits = sampling_hash(sampling_hash(seed, ix), iy);
-      const float dx = x - ((float)(cx + ox) + sampling_unit(bits));
-      const float dy = y - ((float)(cy + oy) + sampling_unit(sampling_mix(bits + 1)));
-      const float distance = sqrtf(dx * dx + dy * dy);
-      if (distance < cell.nearest) {
-        cell.second = cell.nearest;
-        cell.nearest = distance;
-        cell.dx = dx;
-        cell.dy = dy;
-        cell.id = sampling_mix(bits + 2);
-      } else if (distance < cell.second) {
-        cell.second = distance;
-      }
+  noise_cell cell = {8.0f, 8.0f, 0};
+  float to[25][2]; /* from here to the feature points of the cells around */
+  int own = 0;
+  for (int i = 0; i < 25; ++i) {
+    const int ox = i % 5 - 2, oy = i / 5 - 2;
+    const uint32_t ix = (uint32_t)(cx + ox + 2 * (int)n) % n, iy = (uint32_t)(cy + oy + 2 * (int)n) % n;
+    const uint32_t bits = sampling_hash(sampling_hash(seed, ix), iy);
+    to[i][0] = (float)(cx + ox) + sampling_unit(bits) - x;
+    to[i][1] = (float)(cy + oy) + sampling_unit(sampling_mix(bits + 1)) - y;
+    const float distance = sqrtf(to[i][0] * to[i][0] + to[i][1] * to[i][1]);
+    if (distance < cell.nearest) {
+      cell.nearest = distance;
+      cell.id = sampling_mix(bits + 2);
+      own = i;
     }
+  }
+  for (int i = 0; i < 25; ++i) {
+    const float ax = to[i][0] - to[own][0], ay = to[i][1] - to[own][1], apart = sqrtf(ax * ax + ay * ay);
+    if (i == own || apart < 1e-6f) continue;
+    /* Distance to the line half-way between the two points. */
+    const float mx = 0.5f * (to[i][0] + to[own][0]), my = 0.5f * (to[i][1] + to[own][1]);
+    cell.border = fminf(cell.border, (mx * ax + my * ay) / apart);
+  }
   return cell;
 }

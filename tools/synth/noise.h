@@ -11,9 +11,9 @@ float noise_smooth(float u, float v, uint32_t nu, uint32_t nv, uint32_t seed);
 float noise_octaves(float u, float v, uint32_t nu, uint32_t nv, uint32_t octaves, float gain, uint32_t seed);
 
 typedef struct noise_cell {
-  float nearest, second; /* distances to the two nearest feature points, in cells */
-  float dx, dy;          /* from the nearest feature point, in cells */
-  uint32_t id;           /* random bits of the nearest feature point */
+  float nearest; /* distance to the nearest feature point, in cells */
+  float border;  /* to the border between its region and the neighbours', in cells */
+  uint32_t id;   /* random bits of the nearest feature point */
 } noise_cell;
 /* Feature points, one in each of n x n cells. */
 noise_cell noise_cells(float u, float v, uint32_t n, uint32_t seed);
