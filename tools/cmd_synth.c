@@ -66,18 +66,36 @@ static void record_command(const cli *c, const synth_desc *d, const char *direct
            sampling, type, order);
 }
 
-static void print_stats(const cli *c, const char *path, const synth_desc *d, const synth_stats *s) {
+static int print_json(const char *path, const synth_stats *s) {
+  json_writer j;
+  json_begin(&j, stdout);
+  json_object(&j, NULL);
+  json_string(&j, "file", path);
+  json_integer(&j, "samples", s->samples);
+  json_number(&j, "seconds", s->seconds);
+  json_number(&j, "build_seconds", s->build_seconds);
+  json_integer(&j, "triangles", s->triangles);
+  json_integer(&j, "path_rays", s->path_rays);
+  json_integer(&j, "shadow_rays", s->shadow_rays);
+  json_number(&j, "embree_rays_per_second", s->embree_rays_per_second);
+  json_close(&j, '}');
+  json_end(&j);
+  return cli_flush();
+}
+
+static int print_stats(const cli *c, const char *path, const synth_desc *d, const synth_stats *s) {
   const uint64_t rays = s->path_rays + s->shadow_rays;
+  if (cli_has(c, "json")) return print_json(path, s);
   cli_note(c, "%s: %" PRIu64 " samples of %" PRIu32 "x%" PRIu32 " texels, %.2f s", path, s->samples, d->width,
            d->height, s->seconds);
-  if (rays > 0) {
+  if (rays > 0)
     cli_note(c,
              "rays: %.1f million (%.1f shadow), %.2f million a second with shading; Embree alone on the same "
              "shadow "
              "rays: %.2f million a second (%" PRIu64 " triangles, %" PRIu32 " threads, built in %.2f s)",
              1e-6 * (double)rays, 1e-6 * (double)s->shadow_rays, 1e-6 * (double)rays / s->seconds,
              1e-6 * s->embree_rays_per_second, s->triangles, d->threads, s->build_seconds);
-  }
+  return EXIT_DONE;
 }
 
 static int unknown_material(const cli *c, const char *name) {
@@ -129,8 +147,7 @@ static int synthesise(cli *c, synth_desc *d, const char *path) {
   cli_progress_done(c);
   if (status == BTF_E_CANCELLED && cli_interrupted()) return cli_fail_interrupted();
   if (status != BTF_OK) return cli_fail_library(status);
-  print_stats(c, path, d, &stats);
-  return EXIT_DONE;
+  return print_stats(c, path, d, &stats);
 }
 
 static int run(cli *c) {
@@ -184,7 +201,9 @@ const cli_command cmd_synth = {"synth",
                                "options give the same bytes with any\n"
                                "number of threads. Named after cloths and the like, the materials are "
                                "stand-ins and measure nothing. At the end the\n"
-                               "rays traced a second are printed beside those of Embree without shading.",
+                               "rays traced a second are printed beside those of Embree without shading. u8 "
+                               "and u16 hold values up to 1; brighter\n"
+                               "ones are clamped.",
                                options_table,
                                0,
                                1,
