@@ -21,11 +21,11 @@
 
 /* ---- failures ---- */
 
-static bool bar_is_drawn;
+static volatile sig_atomic_t bar_is_drawn; /* read by the signal handler */
 
 static void erase_bar(void) {
   if (bar_is_drawn) fputs("\r\033[K", stderr);
-  bar_is_drawn = false;
+  bar_is_drawn = 0;
 }
 
 /* One line whatever the message holds: control characters of hostile names become '?'. */
@@ -114,11 +114,12 @@ double cli_seconds(void) {
 static volatile sig_atomic_t interrupted, interrupts_held;
 
 static void on_interrupt(int signal_number) {
-  static const char line[] = "\nbtf: interrupted\n";
+  static const char line[] = "\r\033[Kbtf: interrupted\n";
+  const size_t erase = bar_is_drawn ? 0 : 4;
   (void)signal_number;
   interrupted = 1;
   if (interrupts_held == 0) {
-    const ssize_t written = write(STDERR_FILENO, line, sizeof line - 1);
+    const ssize_t written = write(STDERR_FILENO, line + erase, sizeof line - 1 - erase);
     (void)written;
     _exit(EXIT_INTERRUPTED);
   }
@@ -180,7 +181,7 @@ static void draw_bar(double fraction, const char *stage) {
   fprintf(stderr, "\r\033[K[%s] %3d %%  %d:%02d  %s", bar, (int)(100 * fraction), (int)(elapsed / 60),
           (int)elapsed % 60, bar_stage);
   fflush(stderr);
-  bar_is_drawn = true;
+  bar_is_drawn = 1;
 }
 
 bool cli_progress(cli *c, double fraction, const char *stage) {

@@ -15,12 +15,17 @@ static int fail_write(const output_file *out, const char *what) {
 
 int output_open(output_file *out, const char *path) {
   struct stat existing;
+  bool exists;
   int descriptor;
   const mode_t mask = umask(0);
   umask(mask);
   memset(out, 0, sizeof *out);
-  if (stat(path, &existing) == 0 && S_ISDIR(existing.st_mode))
+  exists = stat(path, &existing) == 0;
+  if (exists && S_ISDIR(existing.st_mode))
     return cli_fail(EXIT_IO, "%s: is a folder; a file name was expected", path);
+  /* Renaming would put a file in the place of a device. */
+  if (exists && !S_ISREG(existing.st_mode))
+    return cli_fail(EXIT_IO, "%s: is not a regular file and cannot be replaced", path);
   out->path = strdup(path);
   if (out->path == NULL || asprintf(&out->beside, "%s.XXXXXX", path) < 0) {
     out->beside = NULL;

@@ -75,3 +75,20 @@ for locale in $(locale -a 2>/dev/null | grep -E '^(de_DE|fr_FR|fi_FI)' | head -2
   LC_ALL=$locale "$btf" eval tiny.btfd -f query.txt 2>/dev/null | head -1 >out.txt
   [ "$(cat out.txt)" = 0.200000003 ] && pass || fail "numbers in $locale" "$(cat out.txt)"
 done
+
+# A command that only reads ends at once.
+set -m
+mkfifo silence
+sleep 30 >silence &
+sleeper=$!
+"$btf" eval tiny.btfd <silence >out.txt 2>err.txt &
+waiting=$!
+sleep 0.3
+kill -INT "$waiting"
+wait "$waiting"
+status=$?
+err=$(cat err.txt)
+expect "eval interrupted while it waits" 130 "interrupted"
+kill "$sleeper" 2>/dev/null
+wait "$sleeper" 2>/dev/null
+set +m
