@@ -6,7 +6,15 @@
 
 #include <string.h>
 
-enum { tile_floats = 4096, good_run = 64, parallel_from = 1 << 18 };
+enum {
+  tile_floats = 8192,
+  good_run = 128,      /* neighbours on either side that a tile should hold */
+  whole_lines = 32,    /* multiples of this many samples of any type fill cache lines */
+  slab_floats = 98304, /* what half of a second-level cache holds */
+  slab_run = 512,
+  longest_fetched = 2048, /* bytes; the processor foresees longer rows by itself */
+  parallel_from = 1 << 18
+};
 
 /* One axis: neighbours are `sample` bytes apart among the samples and `floats` bytes among the floats. */
 typedef struct plan_axis {
@@ -18,7 +26,7 @@ typedef struct reorder_plan {
   const btfi_convert_kernels *kernels;
   plan_axis axis[btfi_axes_most];    /* in the samples' order, the closest neighbours first */
   uint32_t by_float[btfi_axes_most]; /* the same in the floats' order */
-  size_t tile[btfi_axes_most];
+  size_t tile[btfi_axes_most], slab[btfi_axes_most];
   uint32_t count;
   bool packing;
 } reorder_plan;
@@ -60,7 +68,7 @@ static void sort_axes(reorder_plan *p) {
 static void extend_tile(reorder_plan *p, uint32_t k, size_t wanted, size_t *floats) {
   const size_t room = tile_floats / (*floats / p->tile[k]);
   size_t extent = BTFI_MIN(BTFI_MIN(wanted, p->axis[k].count), room);
-  if (extent > 8 && extent < p->axis[k].count) extent &= ~(size_t)7;
+  if (extent > whole_lines && extent < p->axis[k].count) extent &= ~(size_t)(whole_lines - 1);
   if (extent <= p->tile[k]) return;
   *floats = *floats / p->tile[k] * extent;
   p->tile[k] = extent;
@@ -70,22 +78,43 @@ static void choose_tile(reorder_plan *p) {
   size_t floats = 1, run = 1;
   for (uint32_t k = 0; k < p->count; ++k) p->tile[k] = 1;
   for (uint32_t k = 0; k < p->count && run < good_run; ++k) {
-    extend_tile(p, k, (good_run + run - 1) / run + 7, &floats);
+    extend_tile(p, k, (good_run + run - 1) / run + whole_lines - 1, &floats);
     run *= p->tile[k];
   }
   run = 1;
   for (uint32_t i = 0; i < p->count && run < good_run; ++i) {
     const uint32_t k = p->by_float[i];
-    extend_tile(p, k, (good_run + run - 1) / run + 7, &floats);
+    extend_tile(p, k, (good_run + run - 1) / run + whole_lines - 1, &floats);
     run *= p->tile[k];
   }
   for (uint32_t i = 0; i < p->count; ++i) extend_tile(p, p->by_float[i], tile_floats, &floats);
+}
+
+/* Tiles follow each other within slabs that stay in the second-level cache, so that lines and pages which one
+ * tile touches in part are finished while they are near. */
+static void choose_slab(reorder_plan *p) {
+  size_t floats = 1, run = 1;
+  for (uint32_t k = 0; k < p->count; ++k) floats *= p->slab[k] = p->tile[k];
+  for (uint32_t side = 0; side < 2; ++side, run = 1)
+    for (uint32_t i = 0; i < p->count && run < slab_run; ++i) {
+      const uint32_t k = side == 0 ? p->by_float[i] : i;
+      const size_t tiles_wanted = (slab_run / run + p->tile[k] - 1) / p->tile[k];
+      const size_t tiles_of_axis = (p->axis[k].count + p->tile[k] - 1) / p->tile[k];
+      const size_t room = slab_floats / (floats / p->slab[k]) / p->tile[k];
+      const size_t tiles = BTFI_MIN(BTFI_MIN(tiles_wanted, tiles_of_axis), room);
+      if (tiles * p->tile[k] > p->slab[k]) {
+        floats = floats / p->slab[k] * (tiles * p->tile[k]);
+        p->slab[k] = tiles * p->tile[k];
+      }
+      run *= p->slab[k];
+    }
 }
 
 static void make_plan(reorder_plan *p) {
   merge_axes(p);
   sort_axes(p);
   choose_tile(p);
+  choose_slab(p);
 }
 
 /* ---- floats moved inside a tile ---- */
@@ -146,9 +175,9 @@ static void move_floats(const btfi_convert_kernels *kernels, const char *src, ch
 
 typedef struct tile_view {
   const reorder_plan *plan;
-  size_t extent[btfi_axes_most];
-  size_t run;        /* neighbouring samples converted at once */
-  uint32_t run_axes; /* axes they take up */
+  size_t extent[btfi_axes_most], slab[btfi_axes_most]; /* of this tile and this slab */
+  size_t run;                                          /* neighbouring samples converted at once */
+  uint32_t run_axes;                                   /* axes they take up */
 } tile_view;
 
 static bool convert_run(const reorder_plan *p, char *samples, float *buffer, size_t run) {
@@ -168,6 +197,26 @@ static bool convert_rows(const tile_view *t, uint32_t level, char *samples, floa
   return fine;
 }
 
+/* Stores that miss the cache wait for each other; asking for a tile's lines before its samples are converted
+ * lets them come in together. */
+static void fetch_rows(const move_axis *axis, uint32_t count, uint32_t inner, size_t run,
+                       const char *floats) {
+  if (count > inner) {
+    for (size_t i = 0; i < axis[count - 1].count; ++i)
+      fetch_rows(axis, count - 1, inner, run, floats + (ptrdiff_t)i * axis[count - 1].dst);
+    return;
+  }
+  for (size_t at = 0; at < run; at += 64) __builtin_prefetch(floats + at, 1);
+  __builtin_prefetch(floats + run - 1, 1);
+}
+
+static void fetch_floats(const move_axis *axis, uint32_t count, const char *floats) {
+  size_t run = sizeof(float);
+  uint32_t inner = 0;
+  for (; inner < count && axis[inner].dst == (ptrdiff_t)run; ++inner) run *= axis[inner].count;
+  if (run <= longest_fetched) fetch_rows(axis, count, inner, run, floats);
+}
+
 static bool convert_tile(tile_view *t, char *samples, char *floats) {
   const reorder_plan *p = t->plan;
   _Alignas(64) float buffer[tile_floats];
@@ -183,6 +232,7 @@ static bool convert_tile(tile_view *t, char *samples, char *floats) {
     axis[i].src = p->packing ? p->axis[k].floats : inside[k];
     axis[i].dst = p->packing ? inside[k] : p->axis[k].floats;
   }
+  if (!p->packing) fetch_floats(axis, p->count, floats);
   /* The axis that is dense in the buffer belongs into the innermost plane, where the kernels transpose. */
   for (uint32_t i = 2; i < p->count; ++i)
     if (p->by_float[i] == 0) {
@@ -209,12 +259,25 @@ static bool convert_tile(tile_view *t, char *samples, char *floats) {
 static bool walk_tiles(tile_view *t, uint32_t level, char *samples, char *floats) {
   if (level == 0) return convert_tile(t, samples, floats);
   const plan_axis axis = t->plan->axis[level - 1];
-  const size_t step = t->plan->tile[level - 1];
+  const size_t step = t->plan->tile[level - 1], count = t->slab[level - 1];
   bool fine = true;
-  for (size_t i = 0; i < axis.count; i += step) {
-    t->extent[level - 1] = BTFI_MIN(step, axis.count - i);
+  for (size_t i = 0; i < count; i += step) {
+    t->extent[level - 1] = BTFI_MIN(step, count - i);
     fine &=
         walk_tiles(t, level - 1, samples + (ptrdiff_t)i * axis.sample, floats + (ptrdiff_t)i * axis.floats);
+  }
+  return fine;
+}
+
+static bool walk_slabs(tile_view *t, uint32_t level, char *samples, char *floats) {
+  if (level == 0) return walk_tiles(t, t->plan->count, samples, floats);
+  const plan_axis axis = t->plan->axis[level - 1];
+  const size_t step = t->plan->slab[level - 1];
+  bool fine = true;
+  for (size_t i = 0; i < axis.count; i += step) {
+    t->slab[level - 1] = BTFI_MIN(step, axis.count - i);
+    fine &=
+        walk_slabs(t, level - 1, samples + (ptrdiff_t)i * axis.sample, floats + (ptrdiff_t)i * axis.floats);
   }
   return fine;
 }
@@ -235,7 +298,7 @@ static bool run_plan(const reorder_plan *p, char *samples, char *floats) {
                                       (p->count == 1 || p->axis[0].count >= 16));
   if (rows) return walk_rows(p, p->count, samples, floats);
   tile_view t = {.plan = p};
-  return walk_tiles(&t, p->count, samples, floats);
+  return walk_slabs(&t, p->count, samples, floats);
 }
 
 /* ---- blocks ---- */
