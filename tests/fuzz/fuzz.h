@@ -9,6 +9,7 @@
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include <btf/btf.h>
 
@@ -22,6 +23,32 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
       abort();                                                                                               \
     }                                                                                                        \
   } while (0)
+
+/* An input that is taken apart from the front; beyond its end are zeros. */
+typedef struct fuzz_bytes {
+  const uint8_t *data;
+  size_t size;
+} fuzz_bytes;
+
+static inline void fuzz_take(fuzz_bytes *in, void *dst, size_t n) {
+  const size_t there = n < in->size ? n : in->size;
+  memset(dst, 0, n);
+  if (there == 0) return;
+  memcpy(dst, in->data, there);
+  in->data += there;
+  in->size -= there;
+}
+
+static inline uint32_t fuzz_u8(fuzz_bytes *in) {
+  uint8_t value;
+  fuzz_take(in, &value, sizeof value);
+  return value;
+}
+
+static inline uint32_t fuzz_u16(fuzz_bytes *in) {
+  const uint32_t low = fuzz_u8(in);
+  return low | fuzz_u8(in) << 8;
+}
 
 /* A context with one thread and at most `max_memory` bytes, so that hostile sizes show as BTF_E_LIMIT. */
 static inline btf_context *fuzz_context(uint64_t max_memory) {

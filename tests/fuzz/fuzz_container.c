@@ -92,17 +92,23 @@ static void evaluate(const btf_model *model) {
       {{0.0f, 0.6f, 0.8f}, {0.6f, 0.0f, 0.8f}, {0.3f, 0.7f}, 0.0f, 0},
       {{0.0f, 0.0f, 1.0f}, {0.99f, 0.0f, 0.01f}, {-7.1f, 1e9f}, 2.5f, 0},
       {{-0.5f, 0.5f, 0.7f}, {0.1f, 0.9f, 0.4f}, {0.999f, 0.001f}, 40.0f, BTF_QUERY_NEAREST},
+      {{NAN, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}, {0.5f, 0.5f}, 0.0f, 0},
+      {{0.0f, 0.0f, INFINITY}, {0.0f, NAN, 1.0f}, {INFINITY, NAN}, -INFINITY, BTF_QUERY_NEAREST},
+      {{0.0f, 0.6f, 0.8f}, {1e38f, -1e38f, 1e-38f}, {-0.0f, 1.0f}, 0.5f, 0},
   };
   btf_model_info info = BTF_MODEL_INFO_INIT;
   float out[64];
   fuzz_expect(btf_model_describe(model, &info) == BTF_OK);
+  fuzz_expect(info.channels >= 1 && info.channels <= 64 && info.levels >= 1);
   for (size_t i = 0; i < sizeof queries / sizeof *queries; i++) {
     btf_model_eval(model, &queries[i], out);
     for (uint32_t c = 0; c < info.channels; c++) fuzz_expect(isfinite(out[c]));
   }
-  btf_model_texel(model, info.levels - 1, 0, 0, btf_dirset_count(info.lights) - 1,
-                  btf_dirset_count(info.views) - 1, out);
-  for (uint32_t c = 0; c < info.channels; c++) fuzz_expect(isfinite(out[c]));
+  for (uint32_t level = 0; level < info.levels; level++) {
+    btf_model_texel(model, level, (info.width >> level) - (info.width >> level > 0), 0,
+                    btf_dirset_count(info.lights) - 1, btf_dirset_count(info.views) - 1, out);
+    for (uint32_t c = 0; c < info.channels; c++) fuzz_expect(isfinite(out[c]));
+  }
 }
 
 /* A container that is right stays right when it is copied. */
@@ -126,12 +132,12 @@ static void copy(btf_context *ctx, const btf_file *file) {
   btf_file_close(again);
 }
 
-static void use(btf_context *ctx, const uint8_t *data, size_t size) {
+static void use(btf_context *ctx, const uint8_t *data, size_t size, uint32_t flags) {
   btf_io io = BTF_IO_INIT;
   btf_file *file;
   btf_status status, valid;
   fuzz_expect(btf_io_memory(ctx, data, size, &io) == BTF_OK);
-  status = btf_file_open(ctx, &io, 0, &file);
+  status = btf_file_open(ctx, &io, flags, &file);
   if (status != BTF_OK) {
     fuzz_expect(refusal(status) && file == NULL);
     return;
@@ -159,12 +165,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
   }
   if (size > LARGEST) return 0;
   btf_context_memory(ctx, &before, NULL);
-  use(ctx, data, size);
+  use(ctx, data, size, 0);
   repaired = malloc(size != 0 ? size : 1);
   fuzz_expect(repaired != NULL);
   if (size != 0) memcpy(repaired, data, size);
   repair(repaired, size);
-  use(ctx, repaired, size);
+  use(ctx, repaired, size, 0);
+  use(ctx, repaired, size, BTF_OPEN_TRUST);
   free(repaired);
   btf_context_memory(ctx, &after, NULL);
   fuzz_expect(before == after);

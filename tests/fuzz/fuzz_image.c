@@ -1,0 +1,26 @@
+/* SPDX-License-Identifier: MIT */
+/* Pictures: any bytes are read as OpenEXR or Radiance or refused; what was read is finite and not negative.
+ */
+#include "fuzz_file.h"
+
+#include <math.h>
+
+#include "cli.h"
+#include "image/image.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+  fuzz_file file = fuzz_file_make(data, size);
+  image picture;
+  uint64_t repaired = 0;
+  const int failed = image_read(file.path, &picture, &repaired);
+  fuzz_file_drop(&file);
+  if (failed != EXIT_DONE) {
+    fuzz_expect(picture.rgb == NULL);
+    return 0;
+  }
+  const size_t values = (size_t)picture.width * picture.height * 3;
+  fuzz_expect(picture.width >= 1 && picture.height >= 1 && repaired <= values);
+  for (size_t i = 0; i < values; i++) fuzz_expect(isfinite(picture.rgb[i]) && picture.rgb[i] >= 0.0f);
+  image_free(&picture);
+  return 0;
+}

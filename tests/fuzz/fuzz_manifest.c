@@ -1,0 +1,100 @@
+/* SPDX-License-Identifier: MIT */
+/* The manifest of a data-set folder: any bytes are refused with one line that names the file, or read into
+ * values within their ranges, which come back the same when they are written and read again. */
+#include "fuzz.h"
+
+#include "dataset/manifest.h"
+
+#include <math.h>
+
+static void expect_directions(const btf_dirset *set) {
+  const uint32_t count = btf_dirset_count(set);
+  fuzz_expect(count >= 1);
+  for (uint32_t i = 0; i < count; ++i) {
+    const float *d = btf_dirset_directions(set) + 3 * (size_t)i;
+    fuzz_expect(d[2] > 0.0f &&
+                fabs((double)d[0] * d[0] + (double)d[1] * d[1] + (double)d[2] * d[2] - 1.0) < 1e-6);
+  }
+}
+
+static void expect_ranges(const btfi_manifest *m) {
+  fuzz_expect(m->width >= 1 && m->width <= 65536 && m->height >= 1 && m->height <= 65536);
+  fuzz_expect(m->channels >= 1 && m->channels <= 64);
+  for (uint32_t c = 0; c < m->channels; ++c) fuzz_expect(m->channel_names[c] != NULL);
+  fuzz_expect(btfi_sample_size(m->sample_type) > 0);
+  fuzz_expect(m->order == BTF_ORDER_VLYXC || m->order == BTF_ORDER_YXVLC);
+  fuzz_expect(m->quantity == BTF_QUANTITY_BRDF || m->quantity == BTF_QUANTITY_BRDF_COS);
+  fuzz_expect(m->scale <= BTF_SCALE_ABSOLUTE && m->wrap <= BTF_WRAP_CLAMP);
+  fuzz_expect(m->texels_per_mm >= 0.0 && m->texels_per_mm <= 1e12);
+  fuzz_expect(m->samples[0] != '\0' && !strchr(m->samples, '/') && strcmp(m->samples, "..") != 0);
+  expect_directions(m->views);
+  expect_directions(m->lights);
+  const double bytes = (double)btf_dirset_count(m->views) * btf_dirset_count(m->lights) * m->width *
+                       m->height * m->channels * btfi_sample_size(m->sample_type);
+  fuzz_expect(fabs((double)m->bytes - bytes) <= bytes * 1e-9);
+}
+
+static void expect_text(const char *a, const char *b) {
+  fuzz_expect((a == NULL) == (b == NULL));
+  if (a) fuzz_expect(strcmp(a, b) == 0);
+}
+
+static void expect_same_again(btf_context *ctx, const btfi_manifest *m) {
+  btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+  btfi_manifest again;
+  btfi_buffer text;
+  desc.lights = m->lights;
+  desc.views = m->views;
+  desc.width = m->width;
+  desc.height = m->height;
+  desc.channels = m->channels;
+  desc.sample_type = m->sample_type;
+  desc.quantity = m->quantity;
+  desc.scale = m->scale;
+  desc.wrap = m->wrap;
+  desc.channel_names = m->channel_names;
+  desc.color_space = m->color_space;
+  desc.name = m->name;
+  desc.source = m->source;
+  desc.license = m->license;
+  desc.texels_per_mm = m->texels_per_mm;
+  btfi_buffer_init(&text, ctx);
+  btfi_manifest_put(&text, &desc, m->order, m->samples, NULL, 0);
+  fuzz_expect(btfi_buffer_status(&text) == BTF_OK);
+  const btf_status status = btfi_manifest_parse(ctx, "copy", (const char *)text.data, text.size, &again);
+  fuzz_expect(status == BTF_OK);
+  fuzz_expect(again.width == m->width && again.height == m->height && again.channels == m->channels);
+  fuzz_expect(again.sample_type == m->sample_type && again.order == m->order &&
+              again.quantity == m->quantity);
+  fuzz_expect(again.scale == m->scale && again.wrap == m->wrap && again.bytes == m->bytes);
+  fuzz_expect(fabs(again.texels_per_mm - m->texels_per_mm) <= 1e-8 * m->texels_per_mm);
+  for (uint32_t c = 0; c < m->channels; ++c) expect_text(again.channel_names[c], m->channel_names[c]);
+  expect_text(again.name, m->name);
+  expect_text(again.source, m->source);
+  expect_text(again.license, m->license);
+  expect_text(again.samples, m->samples);
+  if (m->color_space && m->color_space[0]) expect_text(again.color_space, m->color_space);
+  btfi_manifest_free(&again);
+  btfi_buffer_free(&text);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+  btf_context *ctx = fuzz_context((uint64_t)256 << 20);
+  btfi_manifest manifest;
+  uint64_t now;
+  const btf_status status = btfi_manifest_parse(ctx, "input", (const char *)data, size, &manifest);
+  if (status == BTF_OK) {
+    expect_ranges(&manifest);
+    expect_same_again(ctx, &manifest);
+    btfi_manifest_free(&manifest);
+  } else {
+    fuzz_expect(status == BTF_E_CORRUPT || status == BTF_E_NOT_BTF || status == BTF_E_NEWER ||
+                status == BTF_E_LIMIT);
+    fuzz_expect(strncmp(btf_error_message(), "input: ", 7) == 0 || status == BTF_E_LIMIT);
+    fuzz_expect(!strchr(btf_error_message(), '\n'));
+  }
+  btf_context_memory(ctx, &now, NULL);
+  fuzz_expect(now == 0);
+  btf_context_release(ctx);
+  return 0;
+}
