@@ -116,13 +116,15 @@ size_t number_write(char *dst, float value) {
     decade = magnitude >= 0.1f ? -1 : magnitude >= 0.01f ? -2 : magnitude >= 0.001f ? -3 : -4;
   number = nine_digits((bits & 0x7fffffu) | 0x800000u, (int)(bits >> 23 & 0xff) - 150, decade);
   /* The decimal bounds as floats may lie on the wrong side of the power of ten, and rounding may carry. */
-  if (number < 100000000u)
+  if (number < 100000000u) {
+    if (decade == -4) return (size_t)snprintf(dst, 24, "%.9g", (double)value);
     number = nine_digits((bits & 0x7fffffu) | 0x800000u, (int)(bits >> 23 & 0xff) - 150, --decade);
+  }
   if (number > 999999999u) {
     number /= 10;
     decade++;
   }
-  if (decade < -4 || decade > 8) return (size_t)snprintf(dst, 24, "%.9g", (double)value);
+  if (decade > 8) return (size_t)snprintf(dst, 24, "%.9g", (double)value);
   for (int i = 8; i >= 0; i--, number /= 10) digits[i] = (char)('0' + number % 10);
   while (used > 1 && digits[used - 1] == '0') used--;
   if (decade < 0) {

@@ -79,9 +79,8 @@ done
 # A command that only reads ends at once.
 set -m
 mkfifo silence
-sleep 30 >silence &
-sleeper=$!
-"$btf" eval tiny.btfd <silence >out.txt 2>err.txt &
+exec 4<>silence
+"$btf" eval tiny.btfd <silence 4>&- >out.txt 2>err.txt &
 waiting=$!
 sleep 0.3
 kill -INT "$waiting"
@@ -89,6 +88,5 @@ wait "$waiting"
 status=$?
 err=$(cat err.txt)
 expect "eval interrupted while it waits" 130 "interrupted"
-kill "$sleeper" 2>/dev/null
-wait "$sleeper" 2>/dev/null
+exec 4>&-
 set +m
