@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 /* Blocks of samples between two orders. The axes are merged and sorted first, so that every layout becomes
  * one of two cases: rows that are contiguous on both sides, and tiles that are converted in the samples'
- * order into a buffer in the first-level cache and moved from there in the floats' order. */
+ * order into a buffer that stays in cache and moved from there in the floats' order. */
 #include "dataset/convert.h"
 
 #include <string.h>
