@@ -120,9 +120,39 @@ static int read_lines(obj_file *f, FILE *stream) {
   return status;
 }
 
+/* Of length 1, whatever the length was; +z for 0. */
+static vec3 unit(vec3 v) {
+  const double length = sqrt((double)v.x * v.x + (double)v.y * v.y + (double)v.z * v.z);
+  if (!(length > 0.0)) return vec3_make(0.0f, 0.0f, 1.0f);
+  return vec3_make((float)(v.x / length), (float)(v.y / length), (float)(v.z / length));
+}
+
+/* Moves and scales the positions that are used into the unit sphere; as doubles, whose range holds the
+ * squares of all floats. */
+static void place(const obj_file *f, mesh *out) {
+  const float(*positions)[3] = f->positions.data;
+  const obj_corner *corners = f->corners.data;
+  double low[3], high[3], centre[3], square = 0.0;
+  for (int axis = 0; axis < 3; axis++) {
+    low[axis] = high[axis] = positions[corners[0].position][axis];
+    for (size_t i = 1; i < f->corners.count; i++) {
+      low[axis] = fmin(low[axis], positions[corners[i].position][axis]);
+      high[axis] = fmax(high[axis], positions[corners[i].position][axis]);
+    }
+    centre[axis] = 0.5 * (low[axis] + high[axis]);
+    square += (high[axis] - low[axis]) * (high[axis] - low[axis]);
+  }
+  const double radius = square > 0.0 ? 0.5 * sqrt(square) : 1.0;
+  for (size_t i = 0; i < f->corners.count; i++) {
+    const float *p = positions[corners[i].position];
+    out->vertices[i].position =
+        vec3_make((float)((p[0] - centre[0]) / radius), (float)((p[1] - centre[1]) / radius),
+                  (float)((p[2] - centre[2]) / radius));
+  }
+}
+
 /* Every corner becomes a vertex of its own; normals that the file lacks are averaged over its positions. */
 static int assemble(const obj_file *f, float repeat, mesh *out) {
-  const float(*positions)[3] = f->positions.data;
   const float(*textures)[2] = f->textures.data;
   const float(*normals)[3] = f->normals.data;
   const obj_corner *corners = f->corners.data;
@@ -133,28 +163,20 @@ static int assemble(const obj_file *f, float repeat, mesh *out) {
     free(averages);
     return cli_out_of_memory();
   }
-  vec3 low = vec3_load(positions[corners[0].position]), high = low;
+  place(f, out);
   for (size_t i = 0; i < f->corners.count; i += 3) {
-    vec3 p[3];
-    for (int k = 0; k < 3; k++) {
-      p[k] = vec3_load(positions[corners[i + k].position]);
-      low = vec3_make(fminf(low.x, p[k].x), fminf(low.y, p[k].y), fminf(low.z, p[k].z));
-      high = vec3_make(fmaxf(high.x, p[k].x), fmaxf(high.y, p[k].y), fmaxf(high.z, p[k].z));
-    }
-    const vec3 area = vec3_cross(vec3_sub(p[1], p[0]), vec3_sub(p[2], p[0]));
+    const vec3 p = out->vertices[i].position;
+    const vec3 area =
+        vec3_cross(vec3_sub(out->vertices[i + 1].position, p), vec3_sub(out->vertices[i + 2].position, p));
     for (int k = 0; k < 3; k++) {
       vec3 *average = &averages[corners[i + k].position];
       *average = vec3_add(*average, area);
     }
   }
-  const vec3 centre = vec3_scale(vec3_add(low, high), 0.5f);
-  const float radius = 0.5f * vec3_length(vec3_sub(high, low));
-  const float scale = radius > 0.0f ? 1.0f / radius : 1.0f;
   for (size_t i = 0; i < f->corners.count; i++) {
     const obj_corner *c = &corners[i];
     mesh_vertex *v = &out->vertices[i];
-    v->position = vec3_scale(vec3_sub(vec3_load(positions[c->position]), centre), scale);
-    v->normal = vec3_normalize(c->normal >= 0 ? vec3_load(normals[c->normal]) : averages[c->position]);
+    v->normal = unit(c->normal >= 0 ? vec3_load(normals[c->normal]) : averages[c->position]);
     v->u = textures[c->texture][0] * repeat;
     v->v = textures[c->texture][1] * repeat;
     out->triangles[i] = (uint32_t)i;
