@@ -161,6 +161,9 @@ int image_decode_hdr(const image_bytes *file, image *out) {
   unsigned char *rgbe;
   int failed = read_header(&r);
   if (!failed) failed = read_orientation(&r, &o);
+  /* A line takes a pixel and, if it is longer, a run at least: no room for a picture that cannot be there. */
+  if (!failed && (file->size - r.position) / (o.fast > 1 ? 8 : 4) < o.slow)
+    failed = malformed(&r, "the picture is cut short");
   if (!failed)
     failed = o.slow_axis == 'Y' ? image_create(out, o.fast, o.slow) : image_create(out, o.slow, o.fast);
   if (failed) return failed;
