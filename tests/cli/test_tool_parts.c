@@ -28,7 +28,7 @@ static float float_of(uint32_t bits) {
 /* The quick forms must agree with the C library's to the last character and bit. */
 static void numbers_are_written_like_printf(void **state) {
   (void)state;
-  for (int i = 0; i < 1000000; i++) {
+  for (int i = 0; i < 300000; i++) {
     const uint64_t r = next_random();
     char got[40], expected[40];
     /* Any bits; values of ordinary size; neighbours of powers of ten. */
@@ -49,7 +49,7 @@ static void numbers_are_written_like_printf(void **state) {
 
 static void numbers_are_read_like_strtof(void **state) {
   (void)state;
-  for (int i = 0; i < 500000; i++) {
+  for (int i = 0; i < 200000; i++) {
     const uint64_t r = next_random();
     const uint32_t bits = i % 2 ? (uint32_t)((117 + (r >> 40) % 20) << 23 | (r & 0x7fffff)) : (uint32_t)r;
     /* Every fourth lies half-way between two floats, where rounding twice would show. */
