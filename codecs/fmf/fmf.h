@@ -101,6 +101,7 @@ extern const btfi_fmf_kernels btfi_fmf_neon;
 /* ---- from components to columns of the tables (columns.c) ---- */
 
 enum { FMF_SIDE_U = 0, FMF_SIDE_V = 1 };
+enum { FMF_LARGEST_INTEGER = 1 << 22 }; /* of the packed coding */
 
 /* Components of a factorisation: B = sum over k of U_k V_k^T. U_k has rows = views * lights * channels
  * values, V_k one for each texel. */

@@ -20,7 +20,7 @@ enum {
   PREDICT_COLOUR = 6,  /* inner value plus the gain times the change of the channel before */
   PREDICT_CHANNEL_MODES = 7
 };
-enum { COLUMN_HEADER = 4, GAIN_ONE = 1024, LARGEST = 1 << 22, SAMPLED_LINES = 16 };
+enum { COLUMN_HEADER = 4, GAIN_ONE = 1024, SAMPLED_LINES = 16 };
 
 typedef struct column_coding {
   uint32_t width; /* bytes a value */
@@ -105,9 +105,9 @@ static void quantise(const packing *p, uint32_t k, float *values, int32_t *q) {
   p->factors->column(p->factors->user, p->side, k, values);
   for (uint64_t i = 0; i < p->length; i++) {
     const double scaled_value = values[i] * factor;
-    const double bounded = scaled_value > LARGEST    ? LARGEST
-                           : scaled_value < -LARGEST ? -LARGEST
-                                                     : scaled_value;
+    const double bounded = scaled_value > FMF_LARGEST_INTEGER    ? FMF_LARGEST_INTEGER
+                           : scaled_value < -FMF_LARGEST_INTEGER ? -FMF_LARGEST_INTEGER
+                                                                 : scaled_value;
     q[i] = (int32_t)(bounded < 0.0 ? bounded - 0.5 : bounded + 0.5);
   }
 }

@@ -138,6 +138,18 @@ static btf_status error_of_step(const btfi_fmf_writing *f, double step, double *
   return BTF_OK;
 }
 
+/* The smallest step whose integers are as exact as floats and still fit the file: what a nearly exact
+ * factorisation of few texels would otherwise undercut. */
+static double smallest_step(const btfi_fmf_writing *f, uint32_t side) {
+  double largest = 0.0;
+  for (uint32_t k = 0; k < f->factors.components; k++) {
+    const float *values = f->values[side] + k * f->factors.length[side];
+    const double factor = side == FMF_SIDE_U ? f->sigma[k] : 1.0;
+    for (uint64_t i = 0; i < f->factors.length[side]; i++) largest = fmax(largest, fabs(values[i] * factor));
+  }
+  return largest / FMF_LARGEST_INTEGER;
+}
+
 /* The largest step, within a percent or so, that adds no more than the loss. */
 static btf_status choose_step(btfi_fmf_writing *f) {
   const double without = f->head.squared_error / btfi_fmf_packing_growth(f);
@@ -157,7 +169,8 @@ static btf_status choose_step(btfi_fmf_writing *f) {
     step *= error > 0.0 ? fmin(2.0, 0.995 * sqrt(budget / error)) : 2.0;
   }
   f->host->free(f->ctx, errors);
-  f->head.step[0] = f->head.step[1] = safe > 0.0 ? safe : step;
+  if (safe > 0.0) step = safe;
+  for (uint32_t side = 0; side < 2; side++) f->head.step[side] = fmax(step, smallest_step(f, side));
   return status;
 }
 
