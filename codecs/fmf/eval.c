@@ -9,8 +9,9 @@
 #include <btf/btf_sampling.h>
 
 enum {
-  GROUP = 16,                   /* queries located together */
+  BATCH = 64,                   /* queries located together */
   PREFETCH_AHEAD = 6,           /* queries between asking for rows and using them */
+  RING = 8,                     /* taps alive; a power of two above PREFETCH_AHEAD */
   SCRATCH = 8 * FMF_MAX_COLUMNS /* floats for blended rows of U that several queries share */
 };
 
@@ -33,8 +34,7 @@ void btfi_fmf_state_ready(btfi_fmf_state *state, const btf_host *host, btf_conte
   state->project = kernels->project[layout->storage];
   state->dot = kernels->dot;
   state->channel_bytes = (uint64_t)layout->stride * btfi_fmf_value_bytes(layout->storage);
-  state->channels_at_once =
-      SCRATCH / layout->padded < layout->channels ? SCRATCH / layout->padded : layout->channels;
+  state->can_keep = (uint64_t)layout->channels * layout->padded <= SCRATCH;
   memcpy(natural, scale, layout->columns * sizeof *scale);
   kernels->permute(layout->storage, layout->padded, natural, state->scale);
 }
@@ -49,34 +49,44 @@ static const unsigned char *v_row(const btfi_fmf_state *s, uint32_t level, uint3
 
 static void tap_directions(const btfi_fmf_state *s, const btf_interp *light, const btf_interp *view,
                            taps *t) {
-  t->u.count = 0;
+  const uint64_t row_bytes = s->layout.u_row_bytes, view_bytes = row_bytes * s->layout.lights;
+  const unsigned char *const of_light[3] = {s->u + light->index[0] * row_bytes,
+                                            s->u + light->index[1] * row_bytes,
+                                            s->u + light->index[2] * row_bytes};
+  uint32_t count = 0;
   for (uint32_t j = 0; j < 3; j++) {
     if (view->weight[j] == 0.0f) continue;
     for (uint32_t i = 0; i < 3; i++) {
-      if (light->weight[i] == 0.0f) continue;
-      t->u.row[t->u.count] = u_row(s, light->index[i], view->index[j]);
-      t->u.weight[t->u.count++] = view->weight[j] * light->weight[i];
+      t->u.row[count] = of_light[i] + view->index[j] * view_bytes;
+      t->u.weight[count] = view->weight[j] * light->weight[i];
+      count += light->weight[i] != 0.0f;
     }
   }
+  t->u.count = count;
+}
+
+static void tap_level(const btfi_fmf_state *s, uint32_t level, float level_weight, float u, float v,
+                      taps *t) {
+  const unsigned char *const rows = s->v[level];
+  const uint64_t line_bytes = s->layout.v_line_bytes[level], texel_bytes = s->layout.v_texel_bytes;
+  uint32_t count = t->v.count;
+  btf_bilinear texels;
+  btf_sampling_bilinear(u, v, s->layout.level_width[level], s->layout.level_height[level], s->wrap, &texels);
+  for (uint32_t i = 0; i < 4; i++) {
+    const float weight = level_weight * (texels.wx[i & 1] * texels.wy[i >> 1]);
+    t->v.row[count] = rows + texels.y[i >> 1] * line_bytes + texels.x[i & 1] * texel_bytes;
+    t->v.weight[count] = weight;
+    count += weight != 0.0f;
+  }
+  t->v.count = count;
 }
 
 static void tap_texels(const btfi_fmf_state *s, float u, float v, float lod, taps *t) {
   btf_level_pair levels;
   btf_sampling_levels(lod, s->layout.levels, &levels);
   t->v.count = 0;
-  for (uint32_t k = 0; k < 2; k++) {
-    const uint32_t level = levels.level[k];
-    btf_bilinear texels;
-    if (levels.weight[k] == 0.0f) continue;
-    btf_sampling_bilinear(u, v, s->layout.level_width[level], s->layout.level_height[level], s->wrap,
-                          &texels);
-    for (uint32_t i = 0; i < 4; i++) {
-      const float weight = levels.weight[k] * (texels.wx[i & 1] * texels.wy[i >> 1]);
-      if (weight == 0.0f) continue;
-      t->v.row[t->v.count] = v_row(s, level, texels.x[i & 1], texels.y[i >> 1]);
-      t->v.weight[t->v.count++] = weight;
-    }
-  }
+  tap_level(s, levels.level[0], levels.weight[0], u, v, t);
+  if (levels.weight[1] != 0.0f) tap_level(s, levels.level[1], levels.weight[1], u, v, t);
 }
 
 static void tap_sample(const btfi_fmf_state *s, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
@@ -102,22 +112,14 @@ static void prefetch_row(const unsigned char *row, uint64_t bytes) {
   for (row -= (uintptr_t)row % 64; row < end; row += 64) __builtin_prefetch(row, 0, 2);
 }
 
-/* Asks for the rows that the query before did not have in the same place. */
-static void prefetch_rows(const btfi_fmf_rows *rows, const btfi_fmf_rows *before, uint64_t bytes) {
-  for (uint32_t i = 0; i < rows->count; i++)
-    if (before == NULL || i >= before->count || rows->row[i] != before->row[i])
-      prefetch_row(rows->row[i], bytes);
-}
-
-static void prefetch(const btfi_fmf_state *s, const taps *t, const taps *before) {
-  if (!t->same_u) prefetch_rows(&t->u, before != NULL ? &before->u : NULL, s->layout.u_data_bytes);
-  prefetch_rows(&t->v, before != NULL ? &before->v : NULL, s->layout.v_texel_bytes);
+static void prefetch_rows(const btfi_fmf_rows *rows, uint64_t bytes) {
+  for (uint32_t i = 0; i < rows->count; i++) prefetch_row(rows->row[i], bytes);
 }
 
 static void evaluate(const btfi_fmf_state *s, const taps *t, float *out) {
   _Alignas(64) float v[FMF_MAX_COLUMNS];
   s->blend(&t->v, s->layout.padded, s->scale, v);
-  s->project(&t->u, 0, s->channel_bytes, s->layout.channels, v, s->layout.padded, NULL, out);
+  s->project(&t->u, s->channel_bytes, s->layout.channels, v, s->layout.padded, NULL, out);
 }
 
 void btfi_fmf_eval(const void *state, const btf_query *query, float *out) {
@@ -133,7 +135,8 @@ void btfi_fmf_eval(const void *state, const btf_query *query, float *out) {
     tap_texels(s, query->uv[0], query->uv[1], query->lod, &t);
     t.same_u = false;
   }
-  prefetch(s, &t, NULL);
+  prefetch_rows(&t.u, s->layout.u_data_bytes);
+  prefetch_rows(&t.v, s->layout.v_texel_bytes);
   evaluate(s, &t, out);
 }
 
@@ -146,102 +149,106 @@ void btfi_fmf_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, u
 
 /* ---- batches ---- */
 
-/* The distinct directions among consecutive ones of a group. */
-typedef struct runs {
-  float x[GROUP], y[GROUP], z[GROUP];
-  uint8_t run[GROUP]; /* of each query */
-  uint32_t count;
-} runs;
+/* A batch on its way: directions are located BATCH queries at a time, taps made one by one, PREFETCH_AHEAD
+ * queries before they are used. */
+typedef struct batch_front {
+  const btfi_fmf_state *state;
+  const btf_batch *batch;
+  size_t first;   /* query of the first located direction */
+  size_t located; /* end of them */
+  uint8_t light_run[BATCH], view_run[BATCH];
+  btf_interp light[BATCH], view[BATCH];
+} batch_front;
 
 static bool same_bits(float a, float b) {
   return memcmp(&a, &b, sizeof a) == 0;
 }
 
-static void find_runs(const float *const direction[3], size_t first, uint32_t count, runs *r) {
-  r->count = 0;
+/* Locates `count` directions from `first` on, each run of equal ones once; run[i] is the place of the i-th.
+ */
+static void locate_runs(const btfi_fmf_state *s, const btf_dirset *set, const float *const direction[3],
+                        size_t first, uint32_t count, uint8_t *run, btf_interp *out) {
+  float x[BATCH], y[BATCH], z[BATCH];
+  uint32_t runs = 0;
   for (uint32_t i = 0; i < count; i++) {
-    const float x = direction[0][first + i], y = direction[1][first + i], z = direction[2][first + i];
-    const uint32_t last = r->count - 1;
-    if (i == 0 || !same_bits(x, r->x[last]) || !same_bits(y, r->y[last]) || !same_bits(z, r->z[last])) {
-      r->x[r->count] = x;
-      r->y[r->count] = y;
-      r->z[r->count] = z;
-      r->count++;
-    }
-    r->run[i] = (uint8_t)(r->count - 1);
+    x[runs] = direction[0][first + i];
+    y[runs] = direction[1][first + i];
+    z[runs] = direction[2][first + i];
+    /* The place stays free when it repeats the one before. */
+    const bool repeats = i > 0 && same_bits(x[runs], x[runs - 1]) && same_bits(y[runs], y[runs - 1]) &&
+                         same_bits(z[runs], z[runs - 1]);
+    runs += !repeats;
+    run[i] = (uint8_t)(runs - 1);
   }
+  s->host->dirset_locate_n(set, runs, x, y, z, out);
 }
 
-/* The rows of up to GROUP queries from `first` on; returns how many. */
-static uint32_t locate(const btfi_fmf_state *s, const btf_batch *batch, size_t first, taps *group) {
-  const uint32_t count = batch->count - first < GROUP ? (uint32_t)(batch->count - first) : (uint32_t)GROUP;
-  if (count == 0) return 0;
+static void locate_more(batch_front *front) {
+  const btfi_fmf_state *s = front->state;
+  const btf_batch *batch = front->batch;
+  const size_t left = batch->count - front->located;
+  const uint32_t count = left < BATCH ? (uint32_t)left : (uint32_t)BATCH;
+  front->first = front->located;
+  front->located += count;
+  locate_runs(s, s->light_set, batch->light, front->first, count, front->light_run, front->light);
+  locate_runs(s, s->view_set, batch->view, front->first, count, front->view_run, front->view);
+}
+
+static bool same_indices(const btf_interp *a, const btf_interp *b) {
+  return a->index[0] == b->index[0] && a->index[1] == b->index[1] && a->index[2] == b->index[2];
+}
+
+/* Finds the rows of query q and asks for them unless the query before had the same. */
+static void tap_query(batch_front *front, size_t q, taps *ring) {
+  const btfi_fmf_state *s = front->state;
+  const btf_batch *batch = front->batch;
+  const float u = batch->uv[0][q], v = batch->uv[1][q], lod = batch->lod != NULL ? batch->lod[q] : 0.0f;
+  const taps *before = &ring[(q + RING - 1) % RING]; /* of query 0: zeros */
+  taps *t = &ring[q % RING];
+  bool known_u = false;
   if (batch->flags & BTF_QUERY_NEAREST) {
-    for (uint32_t i = 0; i < count; i++) {
-      const size_t q = first + i;
-      const float light[3] = {batch->light[0][q], batch->light[1][q], batch->light[2][q]};
-      const float view[3] = {batch->view[0][q], batch->view[1][q], batch->view[2][q]};
-      tap_nearest(s, light, view, batch->uv[0][q], batch->uv[1][q], batch->lod != NULL ? batch->lod[q] : 0.0f,
-                  &group[i]);
-    }
-    return count;
-  }
-  runs lights, views;
-  btf_interp light[GROUP], view[GROUP];
-  find_runs(batch->light, first, count, &lights);
-  find_runs(batch->view, first, count, &views);
-  s->host->dirset_locate_n(s->light_set, lights.count, lights.x, lights.y, lights.z, light);
-  s->host->dirset_locate_n(s->view_set, views.count, views.x, views.y, views.z, view);
-  for (uint32_t i = 0; i < count; i++) {
-    const size_t q = first + i;
-    taps *t = &group[i];
-    t->same_u = i > 0 && lights.run[i] == lights.run[i - 1] && views.run[i] == views.run[i - 1];
-    if (!t->same_u) {
-      tap_directions(s, &light[lights.run[i]], &view[views.run[i]], t);
+    const float light[3] = {batch->light[0][q], batch->light[1][q], batch->light[2][q]};
+    const float view[3] = {batch->view[0][q], batch->view[1][q], batch->view[2][q]};
+    tap_nearest(s, light, view, u, v, lod, t);
+    known_u = t->u.row[0] == before->u.row[0];
+  } else {
+    if (q == front->located) locate_more(front);
+    const size_t i = q - front->first;
+    const uint8_t *const light_run = front->light_run + i, *const view_run = front->view_run + i;
+    t->same_u = i > 0 && light_run[0] == light_run[-1] && view_run[0] == view_run[-1];
+    if (t->same_u) {
+      t->u = before->u;
+      known_u = true;
     } else {
-      t->u = group[i - 1].u;
+      tap_directions(s, &front->light[light_run[0]], &front->view[view_run[0]], t);
+      known_u = i > 0 && same_indices(&front->light[light_run[0]], &front->light[light_run[-1]]) &&
+                same_indices(&front->view[view_run[0]], &front->view[view_run[-1]]);
     }
-    tap_texels(s, batch->uv[0][q], batch->uv[1][q], batch->lod != NULL ? batch->lod[q] : 0.0f, t);
+    tap_texels(s, u, v, lod, t);
   }
-  return count;
+  if (!known_u) prefetch_rows(&t->u, s->layout.u_data_bytes);
+  if (t->v.row[0] != before->v.row[0]) prefetch_rows(&t->v, s->layout.v_texel_bytes);
 }
 
 void btfi_fmf_eval_n(const void *state, const btf_batch *batch, float *const *out) {
   const btfi_fmf_state *s = state;
   const uint32_t channels = s->layout.channels, padded = s->layout.padded;
   _Alignas(64) float kept[SCRATCH], v[FMF_MAX_COLUMNS];
-  taps group[2]
-            [GROUP]; /* the next group is located before this one is evaluated, to have its rows on the way */
-  uint32_t count[2], now = 0;
-  count[0] = locate(s, batch, 0, group[0]);
-  for (uint32_t i = 0; i < count[0] && i < PREFETCH_AHEAD; i++)
-    prefetch(s, &group[0][i], i > 0 ? &group[0][i - 1] : NULL);
-  for (size_t first = 0; first < batch->count; first += GROUP, now ^= 1) {
-    const uint32_t here = count[now];
-    const taps *t = group[now], *next = group[now ^ 1];
-    count[now ^ 1] = first + here < batch->count ? locate(s, batch, first + here, group[now ^ 1]) : 0;
-    for (uint32_t channel = 0; channel < channels; channel += s->channels_at_once) {
-      const uint32_t left = channels - channel,
-                     part = left < s->channels_at_once ? left : s->channels_at_once;
-      for (uint32_t i = 0; i < here; i++) {
-        float values[FMF_MAX_CHANNELS];
-        if (channel == 0) {
-          const uint32_t ahead = i + PREFETCH_AHEAD;
-          if (ahead < here) {
-            prefetch(s, &t[ahead], &t[ahead - 1]);
-          } else if (ahead - here < count[now ^ 1]) {
-            prefetch(s, &next[ahead - here], ahead > here ? &next[ahead - here - 1] : &t[here - 1]);
-          }
-        }
-        s->blend(&t[i].v, padded, s->scale, v);
-        if (t[i].same_u) {
-          s->dot(kept, part, v, padded, values);
-        } else {
-          float *keep = i + 1 < here && t[i + 1].same_u ? kept : NULL;
-          s->project(&t[i].u, channel * s->channel_bytes, s->channel_bytes, part, v, padded, keep, values);
-        }
-        for (uint32_t c = 0; c < part; c++) out[channel + c][first + i] = values[c];
-      }
+  float values[FMF_MAX_CHANNELS];
+  taps ring[RING];
+  memset(&ring[RING - 1], 0, sizeof ring[RING - 1]);
+  batch_front front = {.state = s, .batch = batch};
+  size_t tapped = 0;
+  for (size_t q = 0; q < batch->count; q++) {
+    const taps *t = &ring[q % RING];
+    for (; tapped < batch->count && tapped <= q + PREFETCH_AHEAD; tapped++) tap_query(&front, tapped, ring);
+    s->blend(&t->v, padded, s->scale, v);
+    if (t->same_u && s->can_keep) {
+      s->dot(kept, channels, v, padded, values);
+    } else {
+      const bool shared = q + 1 < batch->count && ring[(q + 1) % RING].same_u && s->can_keep;
+      s->project(&t->u, s->channel_bytes, channels, v, padded, shared ? kept : NULL, values);
     }
+    for (uint32_t c = 0; c < channels; c++) out[c][q] = values[c];
   }
 }

@@ -74,11 +74,9 @@ typedef struct btfi_fmf_rows {
  * order of their own, which permute() gives the scale. */
 typedef void (*btfi_fmf_blend_fn)(const btfi_fmf_rows *v, uint32_t padded, const float *scale, float *dst);
 /* The dot product of each channel of the blended rows of U with v; with `keep`, the blended rows themselves
- * as well, `padded` values per channel. Channels are channel_bytes apart, the first `offset` bytes into each
- * row. */
-typedef void (*btfi_fmf_project_fn)(const btfi_fmf_rows *u, uint64_t offset, uint64_t channel_bytes,
-                                    uint32_t channels, const float *v, uint32_t padded, float *keep,
-                                    float *out);
+ * as well, `padded` values per channel. Channels are channel_bytes apart. */
+typedef void (*btfi_fmf_project_fn)(const btfi_fmf_rows *u, uint64_t channel_bytes, uint32_t channels,
+                                    const float *v, uint32_t padded, float *keep, float *out);
 /* The same from rows that were kept. */
 typedef void (*btfi_fmf_dot_fn)(const float *kept, uint32_t channels, const float *v, uint32_t padded,
                                 float *out);
@@ -250,7 +248,7 @@ typedef struct btfi_fmf_state {
   const unsigned char *u;
   const unsigned char *v[FMF_MAX_LEVELS];
   uint64_t channel_bytes;
-  uint32_t channels_at_once; /* channels whose blended rows fit the scratch */
+  bool can_keep; /* the blended rows of all channels fit the scratch of a batch */
   uint32_t wrap, components, coding;
   uint64_t resident;
   btfi_fmf_layout layout;

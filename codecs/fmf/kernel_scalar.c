@@ -44,13 +44,13 @@ static float read_q8(const unsigned char *row, uint32_t i) {
   static void blend_##storage(const btfi_fmf_rows *rows, uint32_t padded, const float *scale, float *dst) {  \
     for (uint32_t i = 0; i < padded; i++) dst[i] = blend_value_##storage(rows, 0, i) * scale[i];             \
   }                                                                                                          \
-  static void project_##storage(const btfi_fmf_rows *rows, uint64_t offset, uint64_t channel_bytes,          \
-                                uint32_t channels, const float *v, uint32_t padded, float *keep,             \
-                                float *out) {                                                                \
-    for (uint32_t channel = 0; channel < channels; channel++, offset += channel_bytes) {                     \
+  static void project_##storage(const btfi_fmf_rows *rows, uint64_t channel_bytes, uint32_t channels,        \
+                                const float *v, uint32_t padded, float *keep, float *out) {                  \
+    uint64_t start = 0;                                                                                      \
+    for (uint32_t channel = 0; channel < channels; channel++, start += channel_bytes) {                      \
       float sum = 0.0f;                                                                                      \
       for (uint32_t i = 0; i < padded; i++) {                                                                \
-        const float u = blend_value_##storage(rows, offset, i);                                              \
+        const float u = blend_value_##storage(rows, start, i);                                               \
         if (keep != NULL) keep[(size_t)channel * padded + i] = u;                                            \
         sum += u * v[i];                                                                                     \
       }                                                                                                      \

@@ -97,18 +97,19 @@
 
 /* Sums over the lanes are made for four channels together, in one way whatever their number. */
 #define DEFINE_PROJECT(storage, size)                                                                        \
-  INLINE void NAME(project_of_##storage)(const btfi_fmf_rows *rows, const uint32_t count, uint64_t offset,   \
+  INLINE void NAME(project_of_##storage)(const btfi_fmf_rows *rows, const uint32_t count,                    \
                                          uint64_t channel_bytes, uint32_t channels, const float *v,          \
                                          uint32_t padded, float *keep, float *out) {                         \
     enum { pair = 2 * LANES * (size) };                                                                      \
+    uint64_t start = 0;                                                                                      \
     WEIGHTS(rows);                                                                                           \
     for (uint32_t first = 0; first < channels; first += 4) {                                                 \
       const uint32_t many = channels - first < 4 ? channels - first : 4;                                     \
       VECTOR sum[4] = {ZERO, ZERO, ZERO, ZERO};                                                              \
       float totals[4];                                                                                       \
-      for (uint32_t c = 0; c < many; c++, offset += channel_bytes) {                                         \
+      for (uint32_t c = 0; c < many; c++, start += channel_bytes) {                                          \
         VECTOR d0 = ZERO, d1 = ZERO, d2 = ZERO, d3 = ZERO;                                                   \
-        uint64_t at = offset;                                                                                \
+        uint64_t at = start;                                                                                 \
         uint32_t i = 0;                                                                                      \
         for (; i + 4 * LANES <= padded; i += 4 * LANES, at += 2 * pair) {                                    \
           BLEND4(storage)                                                                                    \
@@ -157,7 +158,7 @@
     break;
 #define PROJECT_CASE(storage, n)                                                                             \
   case n:                                                                                                    \
-    NAME(project_of_##storage)(rows, n, offset, channel_bytes, channels, v, padded, keep, out);              \
+    NAME(project_of_##storage)(rows, n, channel_bytes, channels, v, padded, keep, out);                      \
     break;
 #define DEFINE_KERNELS(storage, size)                                                                        \
   DEFINE_BLEND(storage, size)                                                                                \
@@ -170,9 +171,9 @@
       break;                                                                                                 \
     }                                                                                                        \
   }                                                                                                          \
-  TARGET static void NAME(project_##storage)(const btfi_fmf_rows *rows, uint64_t offset,                     \
-                                             uint64_t channel_bytes, uint32_t channels, const float *v,      \
-                                             uint32_t padded, float *keep, float *out) {                     \
+  TARGET static void NAME(project_##storage)(const btfi_fmf_rows *rows, uint64_t channel_bytes,              \
+                                             uint32_t channels, const float *v, uint32_t padded,             \
+                                             float *keep, float *out) {                                      \
     switch (rows->count) {                                                                                   \
       EACH_COUNT(PROJECT_CASE, storage)                                                                      \
     default:                                                                                                 \
