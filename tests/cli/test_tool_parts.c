@@ -2,6 +2,7 @@
 /* The parts of the btf command: numbers as text, pictures, similarity, near misses. */
 #include "btf_test.h"
 
+#include <openexr.h>
 #include <unistd.h>
 
 #include "cli.h"
@@ -143,6 +144,64 @@ static void exr_files_keep_every_value(void **state) {
       assert_near(again.rgb[i], picture.rgb[i], picture.rgb[i] / 2048.0 + 6e-8);
     image_free(&again);
     image_free(&picture);
+  }
+}
+
+/* Tiles of 8 x 8 that the picture's right and bottom borders cut; one channel Y when grey. */
+static exr_result_t write_tiled(const char *path, const image *picture, bool grey) {
+  static const char *const names[] = {"B", "G", "R"};
+  exr_context_initializer_t setup = EXR_DEFAULT_CONTEXT_INITIALIZER;
+  exr_encode_pipeline_t encoder = EXR_ENCODE_PIPELINE_INITIALIZER;
+  exr_context_t ctx = NULL;
+  const int channels = grey ? 1 : 3;
+  int part = 0;
+  bool first = true;
+  exr_result_t code = exr_start_write(&ctx, path, EXR_WRITE_FILE_DIRECTLY, &setup);
+  if (code != EXR_ERR_SUCCESS) return code;
+  code = exr_add_part(ctx, "tiles", EXR_STORAGE_TILED, &part);
+  if (code == EXR_ERR_SUCCESS)
+    code = exr_initialize_required_attr_simple(ctx, part, (int32_t)picture->width, (int32_t)picture->height,
+                                               EXR_COMPRESSION_ZIP);
+  if (code == EXR_ERR_SUCCESS)
+    code = exr_set_tile_descriptor(ctx, part, 8, 8, EXR_TILE_ONE_LEVEL, EXR_TILE_ROUND_DOWN);
+  for (int i = 0; code == EXR_ERR_SUCCESS && i < channels; i++)
+    code = exr_add_channel(ctx, part, grey ? "Y" : names[i], EXR_PIXEL_FLOAT, EXR_PERCEPTUALLY_LOGARITHMIC, 1,
+                           1);
+  if (code == EXR_ERR_SUCCESS) code = exr_write_header(ctx);
+  for (uint32_t y = 0; code == EXR_ERR_SUCCESS && y < picture->height; y += 8)
+    for (uint32_t x = 0; code == EXR_ERR_SUCCESS && x < picture->width; x += 8) {
+      exr_chunk_info_t chunk;
+      code = exr_write_tile_chunk_info(ctx, part, (int)x / 8, (int)y / 8, 0, 0, &chunk);
+      if (code == EXR_ERR_SUCCESS)
+        code = first ? exr_encoding_initialize(ctx, part, &chunk, &encoder)
+                     : exr_encoding_update(ctx, part, &chunk, &encoder);
+      for (int i = 0; code == EXR_ERR_SUCCESS && i < channels; i++) {
+        encoder.channels[i].user_pixel_stride = 3 * sizeof(float);
+        encoder.channels[i].user_line_stride = (int32_t)(picture->width * 3 * sizeof(float));
+        encoder.channels[i].encode_from_ptr =
+            (const uint8_t *)(image_pixel(picture, x, y) + (grey ? 0 : 2 - i));
+      }
+      if (code == EXR_ERR_SUCCESS && first) code = exr_encoding_choose_default_routines(ctx, part, &encoder);
+      if (code == EXR_ERR_SUCCESS) code = exr_encoding_run(ctx, part, &encoder);
+      first = false;
+    }
+  exr_encoding_destroy(ctx, &encoder);
+  return code == EXR_ERR_SUCCESS ? exr_finish(&ctx) : code;
+}
+
+static void tiled_and_grey_exr_files_are_read(void **state) {
+  const char *path = test_path("tiles.exr");
+  (void)state;
+  for (int grey = 0; grey < 2; grey++) {
+    image picture, again;
+    assert_int_equal(image_create(&picture, 21, 13), EXIT_DONE);
+    fill_with_pattern(&picture);
+    assert_int_equal(write_tiled(path, &picture, grey != 0), EXR_ERR_SUCCESS);
+    assert_int_equal(image_read(path, &again, NULL), EXIT_DONE);
+    assert_int_equal(again.width, 21);
+    for (size_t i = 0; i < 21 * 13 * 3; i++) assert_true(again.rgb[i] == picture.rgb[grey ? i / 3 * 3 : i]);
+    image_free(&picture);
+    image_free(&again);
   }
 }
 
@@ -392,6 +451,7 @@ int main(void) {
       cmocka_unit_test(numbers_are_read_like_strtof),
       cmocka_unit_test(what_is_no_number_is_refused),
       cmocka_unit_test(exr_files_keep_every_value),
+      cmocka_unit_test(tiled_and_grey_exr_files_are_read),
       cmocka_unit_test(hdr_orders_give_one_picture),
       cmocka_unit_test_setup_teardown(hdr_runs_are_unpacked, silence, speak),
       cmocka_unit_test_setup_teardown(damaged_exr_files_do_no_harm, silence, speak),
