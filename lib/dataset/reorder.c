@@ -8,6 +8,7 @@
 
 enum {
   tile_floats = 8192,
+  short_run = 16,      /* samples that are not worth a call of a kernel */
   good_run = 128,      /* neighbours on either side that a tile should hold */
   whole_lines = 32,    /* multiples of this many samples of any type fill cache lines */
   slab_floats = 98304, /* what half of a second-level cache holds */
@@ -197,6 +198,62 @@ static bool convert_rows(const tile_view *t, uint32_t level, char *samples, floa
   return fine;
 }
 
+/* One crumb of a fixed size, which the compiler turns into a move or two. */
+static inline void copy_crumb(char *dst, const char *src, size_t size) {
+  switch (size) {
+  case 1:
+    memcpy(dst, src, 1);
+    break;
+  case 2:
+    memcpy(dst, src, 2);
+    break;
+  case 3:
+    memcpy(dst, src, 3);
+    break;
+  case 4:
+    memcpy(dst, src, 4);
+    break;
+  case 6:
+    memcpy(dst, src, 6);
+    break;
+  case 8:
+    memcpy(dst, src, 8);
+    break;
+  case 12:
+    memcpy(dst, src, 12);
+    break;
+  default:
+    memcpy(dst, src, size);
+    break;
+  }
+}
+
+/* Moves runs too short for a kernel between the samples and dense ones. */
+static char *move_crumbs(const tile_view *t, uint32_t level, char *samples, char *dense) {
+  const size_t size = t->run * t->plan->kernels->sample_size;
+  if (level == t->run_axes) {
+    copy_crumb(t->plan->packing ? samples : dense, t->plan->packing ? dense : samples, size);
+    return dense + size;
+  }
+  const ptrdiff_t stride = t->plan->axis[level - 1].sample;
+  for (size_t i = 0; i < t->extent[level - 1]; ++i, samples += stride)
+    dense = move_crumbs(t, level - 1, samples, dense);
+  return dense;
+}
+
+static bool convert_crumbs(const tile_view *t, char *samples, float *buffer, size_t count) {
+  _Alignas(64) char dense[tile_floats * sizeof(float)];
+  if (!t->plan->packing) move_crumbs(t, t->plan->count, samples, dense);
+  const bool fine = convert_run(t->plan, dense, buffer, count);
+  if (t->plan->packing) move_crumbs(t, t->plan->count, samples, dense);
+  return fine;
+}
+
+static bool convert_samples(const tile_view *t, char *samples, float *buffer, size_t count) {
+  if (t->run < short_run && t->run < count) return convert_crumbs(t, samples, buffer, count);
+  return convert_rows(t, t->plan->count, samples, &buffer);
+}
+
 /* Stores that miss the cache wait for each other; asking for a tile's lines before its samples are converted
  * lets them come in together. */
 static void fetch_rows(const move_axis *axis, uint32_t count, uint32_t inner, size_t run,
@@ -220,7 +277,7 @@ static void fetch_floats(const move_axis *axis, uint32_t count, const char *floa
 static bool convert_tile(tile_view *t, char *samples, char *floats) {
   const reorder_plan *p = t->plan;
   _Alignas(64) float buffer[tile_floats];
-  move_axis axis[btfi_axes_most];
+  move_axis axis[btfi_axes_most] = {{0, 0, 0}};
   ptrdiff_t inside[btfi_axes_most], dense = (ptrdiff_t)sizeof(float);
   for (uint32_t k = 0; k < p->count; ++k) {
     inside[k] = dense;
@@ -246,12 +303,12 @@ static bool convert_tile(tile_view *t, char *samples, char *floats) {
     if (p->axis[t->run_axes].sample != (ptrdiff_t)(t->run * p->kernels->sample_size)) break;
     t->run *= t->extent[t->run_axes];
   }
-  float *next = buffer;
+  const size_t count = (size_t)dense / sizeof(float);
   if (p->packing) {
     move_floats(p->kernels, floats, (char *)buffer, axis, p->count);
-    return convert_rows(t, p->count, samples, &next);
+    return convert_samples(t, samples, buffer, count);
   }
-  const bool fine = convert_rows(t, p->count, samples, &next);
+  const bool fine = convert_samples(t, samples, buffer, count);
   move_floats(p->kernels, (const char *)buffer, floats, axis, p->count);
   return fine;
 }

@@ -9,8 +9,8 @@
 #include <string.h>
 
 enum {
-  windows_most = 4,
-  window_bytes = 16 << 20,
+  windows_most = 2,
+  window_bytes = 32 << 20,
   window_bytes_most = 64 << 20,
   good_columns = 32,
   short_run = 1024
