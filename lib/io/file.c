@@ -143,6 +143,10 @@ btf_status btfi_map_file(btf_context *ctx, const char *path, btfi_mapping *out) 
   return BTF_OK;
 }
 
+void btfi_mapping_let_go(const btfi_mapping *mapping) {
+  if (mapping->size > 0) madvise((void *)(uintptr_t)mapping->data, (size_t)mapping->size, MADV_DONTNEED);
+}
+
 void btfi_unmap(btfi_mapping *mapping) {
   if (mapping->size > 0) munmap((void *)(uintptr_t)mapping->data, (size_t)mapping->size);
   mapping->data = NULL;

@@ -27,6 +27,8 @@ typedef struct btfi_mapping {
 } btfi_mapping;
 btf_status btfi_map_file(btf_context *ctx, const char *path, btfi_mapping *out);
 void btfi_unmap(btfi_mapping *mapping);
+/* Gives the mapping's pages back; they stay in the system's cache and return when touched. */
+void btfi_mapping_let_go(const btfi_mapping *mapping);
 
 /* Test seam: when set, called before each system call of this layer ("open", "fstat", "mmap", "pread",
  * "pwrite", "fsync", "close", "rename"; undoing never fails by it); a non-zero errno value makes that call
