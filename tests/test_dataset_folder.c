@@ -7,7 +7,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "dataset/dataset.h"
+#include "dataset/folder_writer.h"
 
 static const uint32_t sample_types[] = {BTF_SAMPLE_U8, BTF_SAMPLE_F16, BTF_SAMPLE_F32, BTF_SAMPLE_U16};
 static const uint32_t orders[] = {BTF_ORDER_VLYXC, BTF_ORDER_YXVLC};
@@ -329,27 +329,39 @@ static void orders_turn_into_each_other_bit_for_bit(void **state) {
   test_context_done(ctx, &memory);
 }
 
-/* Several windows of the writer's own gathering, revisited in an order that evicts them. */
-static void scattered_images_gather_in_a_texel_major_file(void **state) {
+/* Images whose windows do not fit into memory together come in an order that evicts half-filled ones; columns
+ * of texels likewise. */
+static void scattered_blocks_gather_in_either_order(void **state) {
   (void)state;
   test_memory memory;
   btf_context *ctx = test_context(&memory);
   test_cube cube;
-  test_cube_make(ctx, &cube, BTF_SAMPLE_F32, 30, 31, 64, 64, 1, 3);
+  test_cube_make(ctx, &cube, BTF_SAMPLE_F16, 30, 31, 12, 20, 1, 3);
   float *values = cube_floats(&cube);
   const btf_dataset_desc desc = test_cube_desc(&cube);
   const char *path = test_path("scattered.btfd");
-  btf_dataset_writer *w;
-  assert_ok(btf_dataset_writer_create(ctx, path, &desc, BTF_ORDER_YXVLC, &w));
-  for (uint32_t i = 0; i < 30 * 31; ++i) {
-    const uint32_t pair = i * 577u % (30u * 31u); /* 577 is prime to 930 */
-    const btf_block top = {pair / 31, 1, pair % 31, 1, 0, 0, 64, 20},
-                    rest = {pair / 31, 1, pair % 31, 1, 0, 20, 64, 44};
-    assert_ok(put_block(w, &cube, values, &top));
-    assert_ok(put_block(w, &cube, values, &rest));
-  }
-  assert_ok(btf_dataset_writer_finish(w));
-  expect_samples(path, cube.texel_major, cube.count * cube.size);
+  const uint64_t window_bytes = btfi_stage_window_bytes;
+  for (int order = 0; order < 2; ++order)
+    for (uint64_t columns = 33; columns < 200; columns += 64) {
+      btf_dataset_writer *w;
+      btfi_stage_window_bytes = columns * 2 * (order ? 12 * 20 : 30 * 31);
+      assert_ok(btf_dataset_writer_create(ctx, path, &desc, orders[order], &w));
+      for (uint32_t i = 0; order == 1 && i < 30 * 31; ++i) {
+        const uint32_t pair = i * 577u % (30u * 31u); /* 577 is prime to 930 */
+        const btf_block top = {pair / 31, 1, pair % 31, 1, 0, 0, 20, 5},
+                        rest = {pair / 31, 1, pair % 31, 1, 0, 5, 20, 7};
+        assert_ok(put_block(w, &cube, values, &top));
+        assert_ok(put_block(w, &cube, values, &rest));
+      }
+      for (uint32_t i = 0; order == 0 && i < 12 * 10; ++i) {
+        const uint32_t pair = i * 77u % (12u * 10u); /* of texels; 77 is prime to 120 */
+        const btf_block two = {0, 30, 0, 31, pair % 10 * 2, pair / 10, 2, 1};
+        assert_ok(put_block(w, &cube, values, &two));
+      }
+      assert_ok(btf_dataset_writer_finish(w));
+      expect_samples(path, order ? cube.texel_major : cube.image_major, cube.count * cube.size);
+    }
+  btfi_stage_window_bytes = window_bytes;
   free(values);
   test_cube_free(&cube);
   test_context_done(ctx, &memory);
@@ -757,7 +769,7 @@ int main(void) {
       cmocka_unit_test(what_is_no_data_set_is_told_apart),
       cmocka_unit_test(limits_hold_for_manifests),
       cmocka_unit_test(orders_turn_into_each_other_bit_for_bit),
-      cmocka_unit_test(scattered_images_gather_in_a_texel_major_file),
+      cmocka_unit_test(scattered_blocks_gather_in_either_order),
       cmocka_unit_test(several_threads_write_one_folder),
       cmocka_unit_test(manifests_are_complete_and_repeatable),
       cmocka_unit_test(values_that_cannot_be_stored_are_named),

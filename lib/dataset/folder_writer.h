@@ -37,6 +37,8 @@ btf_status btfi_writer_fail_value(const btf_dataset_writer *w, const btf_block *
 
 /* write_stage.c: blocks that would be written in crumbs gather in memory until they make longer runs. */
 
+/* Memory of one window; tests make it small. */
+extern uint64_t btfi_stage_window_bytes;
 btf_status btfi_stage_create(btf_dataset_writer *w);
 void btfi_stage_free(btf_dataset_writer *w);
 /* Whether a block is one to be gathered. */

@@ -8,13 +8,9 @@
 
 #include <string.h>
 
-enum {
-  windows_most = 2,
-  window_bytes = 32 << 20,
-  window_bytes_most = 64 << 20,
-  good_columns = 32,
-  short_run = 1024
-};
+enum { windows_most = 2, window_bytes_most = 64 << 20, good_columns = 32, short_run = 1024 };
+
+uint64_t btfi_stage_window_bytes = (uint64_t)32 << 20;
 
 typedef struct stage_window {
   uint64_t number; /* columns number * columns .. of the file; meaningless while `filled` is 0 */
@@ -44,7 +40,7 @@ btf_status btfi_stage_create(btf_dataset_writer *w) {
   stage->columns = texel_rows ? pairs : texels;
   stage->cell = (uint64_t)w->desc.channels * w->kernels.sample_size;
   const uint64_t column_bytes = stage->rows * stage->cell; /* at most the size of the file */
-  uint64_t columns = window_bytes / column_bytes;
+  uint64_t columns = btfi_stage_window_bytes / column_bytes;
   stage->window_count = windows_most;
   if (columns < good_columns) {
     columns = BTFI_MIN((uint64_t)good_columns, window_bytes_most / column_bytes);
