@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { piece_bytes = 16 << 20, message_bytes = 512 };
+enum { piece_bytes = 16 << 20, message_bytes = 512, mapped_bytes_kept = 64 << 20 };
 
 static _Thread_local bool source_said_why;
 
@@ -53,6 +53,18 @@ static void block_axes(const btf_dataset *ds, const btf_block *b, const btf_stri
 
 /* ---- resident and mapped samples ---- */
 
+/* Pages of a mapping count as memory of the process once touched. A pass over data larger than memory must
+ * not keep them all. */
+static void let_go_of_pages(const btf_dataset *ds, const btf_block *b) {
+  atomic_ullong *count = (atomic_ullong *)(uintptr_t)&ds->mapped_bytes_read;
+  const uint64_t bytes = (uint64_t)b->views * b->lights * b->height * b->width * ds->desc.channels *
+                         btfi_sample_size(ds->desc.sample_type);
+  if (ds->mapping.size <= mapped_bytes_kept || atomic_fetch_add(count, bytes) + bytes <= mapped_bytes_kept)
+    return;
+  atomic_store(count, 0);
+  btfi_mapping_let_go(&ds->mapping);
+}
+
 static btf_status read_resident(const btf_dataset *ds, const btf_block *b, float *dst,
                                 const btf_strides *strides) {
   const btf_strides *s = &ds->desc.strides;
@@ -62,6 +74,7 @@ static btf_status read_resident(const btf_dataset *ds, const btf_block *b, float
   bool finite = true;
   block_axes(ds, b, s, strides, axes);
   BTFI_TRY(btfi_unpack_block(ds->ctx, &ds->kernels, axes, btfi_axes_most, src, dst, &finite));
+  if (finite) let_go_of_pages(ds, b);
   char message[message_bytes];
   return finite ? BTF_OK
                 : btfi_fail_not_finite(ds->ctx, ds->label, ds->desc.sample_type, b, ds->desc.channels, src, s,
