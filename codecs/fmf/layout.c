@@ -68,10 +68,10 @@ static uint16_t to_bf16(float value) {
   return (uint16_t)((bits + 0x7fffu + (bits >> 16 & 1u)) >> 16);
 }
 
+/* Total: values of a hostile file may be infinite or NaN before it is refused. */
 static int8_t to_q8(float value) {
-  const float scaled = value * 127.0f;
-  const int32_t rounded = (int32_t)(scaled + (scaled < 0.0f ? -0.5f : 0.5f));
-  return (int8_t)(rounded > 127 ? 127 : rounded < -127 ? -127 : rounded);
+  const float bounded = value > -1.0f ? (value < 1.0f ? value : 1.0f) : -1.0f;
+  return (int8_t)(bounded * 127.0f + (bounded < 0.0f ? -0.5f : 0.5f));
 }
 
 float btfi_fmf_round(uint32_t storage, float value) {

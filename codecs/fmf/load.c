@@ -71,6 +71,8 @@ void btfi_fmf_put_sigma(const double *sigma, uint32_t components, unsigned char 
 
 /* ---- loading ---- */
 
+#define FMF_LARGEST_VALUE 1e30f
+
 typedef struct loading {
   const btf_host *host;
   btf_context *ctx;
@@ -134,8 +136,9 @@ static btf_status get_sigma(loading *l) {
   FMF_TRY(get_chunk(l, FMF_TAG_SIGMA, 0, 8 * (uint64_t)l->head.components, &data));
   for (uint32_t k = 0; k < l->head.components; k++) {
     l->sigma[k] = get_f64((const unsigned char *)data + 8 * (size_t)k);
-    if (!isfinite(l->sigma[k]) || l->sigma[k] <= 0.0)
-      return l->host->fail(l->ctx, BTF_E_CORRUPT, "fmf: singular value %u is not a positive number", k);
+    if (!isfinite(l->sigma[k]) || l->sigma[k] <= 0.0 || !isfinite(l->head.step[0] / l->sigma[k]))
+      return l->host->fail(l->ctx, BTF_E_CORRUPT,
+                           "fmf: singular value %u is not a positive number or too small", k);
   }
   return BTF_OK;
 }
@@ -200,7 +203,14 @@ static btf_status build_tables(loading *l, const btfi_fmf_factors *factors, btfi
   btfi_fmf_state *state = l->state;
   unsigned char *v[FMF_MAX_LEVELS] = {NULL}, *u;
   FMF_TRY(btfi_fmf_plan_columns(l->host, l->ctx, factors, l->head.storage, l->head.tolerated, plan));
-  for (uint32_t i = 0; i < plan->columns; i++) FMF_TRY(check_scale(l, i, &plan->column[i]));
+  for (uint32_t i = 0; i < plan->columns; i++) {
+    /* Far from overflow, so that no value of the tables and no sum of them while filtering is infinite. */
+    const btfi_fmf_column *column = &plan->column[i];
+    if (!(column->scale[0] <= FMF_LARGEST_VALUE && column->scale[1] <= FMF_LARGEST_VALUE))
+      return l->host->fail(l->ctx, BTF_E_CORRUPT, "fmf: component %u has values beyond 1e30",
+                           column->component);
+    FMF_TRY(check_scale(l, i, column));
+  }
   FMF_TRY(make_layout(l, plan->columns));
   state->owned[0] = u = alloc_table(l, state->layout.u_bytes);
   if (u == NULL) return BTF_E_NOMEM;
