@@ -6,7 +6,7 @@
 #include <string.h>
 
 enum {
-  BIN_SHIFT = 12, /* positive floats by their upper bits: bins of 2^-11 relative width */
+  BIN_SHIFT = 13, /* positive floats by their upper bits: bins of 2^-10 relative width */
   BINS = 0x7f800000u >> BIN_SHIFT,
   PARTS = 16,
   BLOCK_FLOATS = 4 << 20
@@ -18,8 +18,8 @@ typedef struct statistics_pass {
   uint64_t items;
   double *sums; /* of each row of B */
   double energy[PARTS];
-  uint64_t *histogram;   /* BINS for each thread */
-  uint64_t below[PARTS]; /* samples that are not positive */
+  uint32_t *counts;    /* BINS for each thread, of the blocks since they were last added up */
+  uint64_t *histogram; /* BINS */
 } statistics_pass;
 
 /* Takes one of PARTS ranges of the rows of B, so that sums do not depend on which thread makes them. */
@@ -28,7 +28,7 @@ static void take_part(void *job, uint32_t part, uint32_t thread) {
   const btfi_fmf_matrix *m = pass->matrix;
   const uint64_t rows = m->by_image ? pass->items : m->rows, others = m->by_image ? m->texels : pass->items;
   const uint64_t row_step = m->by_image ? m->length : 1, other_step = m->by_image ? 1 : m->length;
-  uint64_t *histogram = pass->histogram + (uint64_t)thread * BINS;
+  uint32_t *counts = pass->counts + (uint64_t)thread * BINS;
   const uint64_t first = rows * part / PARTS, last = rows * (part + 1) / PARTS;
   double energy = 0.0;
   for (uint64_t row = first; row < last; row++) {
@@ -39,11 +39,7 @@ static void take_part(void *job, uint32_t part, uint32_t thread) {
       sum += *value;
       energy += (double)*value * *value;
       memcpy(&bits, value, sizeof bits);
-      if (*value > 0.0f) {
-        histogram[bits >> BIN_SHIFT]++;
-      } else {
-        pass->below[part]++;
-      }
+      if (*value > 0.0f) counts[bits >> BIN_SHIFT]++;
     }
     pass->sums[row] += sum;
   }
@@ -51,11 +47,11 @@ static void take_part(void *job, uint32_t part, uint32_t thread) {
 }
 
 /* The lower edge of the bin that holds the 99.9th percentile. */
-static double find_peak(const statistics_pass *pass, uint32_t threads, uint64_t samples) {
+static double find_peak(const statistics_pass *pass, uint64_t samples) {
   uint64_t above = 0;
   const uint64_t most = samples / 1000;
   for (uint32_t bin = BINS; bin-- > 0;) {
-    for (uint32_t t = 0; t < threads; t++) above += pass->histogram[(uint64_t)t * BINS + bin];
+    above += pass->histogram[bin];
     if (above > most) {
       const uint32_t bits = bin << BIN_SHIFT;
       float edge;
@@ -66,16 +62,30 @@ static double find_peak(const statistics_pass *pass, uint32_t threads, uint64_t 
   return 0.0;
 }
 
+static void add_up_counts(statistics_pass *pass, uint32_t threads) {
+  for (uint32_t t = 0; t < threads; t++)
+    for (uint32_t bin = 0; bin < BINS; bin++) pass->histogram[bin] += pass->counts[(uint64_t)t * BINS + bin];
+  memset(pass->counts, 0, (uint64_t)threads * BINS * sizeof *pass->counts);
+}
+
 static btf_status read_all(btfi_fmf_matrix *m, const btf_job *job, double from, double to,
                            statistics_pass *pass, float *block, uint64_t block_items) {
+  const uint32_t threads = m->host->thread_count(m->ctx);
   double *const row_sums = pass->sums;
+  uint64_t counted = 0;
   for (uint64_t item = 0; item < m->items; item += block_items) {
     pass->items = m->items - item < block_items ? m->items - item : block_items;
     FMF_TRY(m->host->progress(job, from + (to - from) * (double)item / (double)m->items, "statistics"));
     FMF_TRY(btfi_fmf_matrix_read(m, item, pass->items, block, m->length));
     pass->sums = m->by_image ? row_sums + item : row_sums;
+    if (counted > UINT32_MAX - pass->items * m->length) {
+      add_up_counts(pass, threads);
+      counted = 0;
+    }
+    counted += pass->items * m->length;
     FMF_TRY(m->host->parallel(m->ctx, PARTS, take_part, pass));
   }
+  add_up_counts(pass, threads);
   pass->sums = row_sums;
   return BTF_OK;
 }
@@ -94,10 +104,12 @@ btf_status btfi_fmf_measure(btfi_fmf_matrix *m, const btf_job *job, double from,
   float *block = m->host->alloc(m->ctx, block_items, m->length * sizeof *block);
   pass.block = block;
   pass.sums = m->host->alloc(m->ctx, m->rows, sizeof *pass.sums);
-  pass.histogram = m->host->alloc(m->ctx, (uint64_t)threads * BINS, sizeof *pass.histogram);
-  if (block != NULL && pass.sums != NULL && pass.histogram != NULL) {
+  pass.counts = m->host->alloc(m->ctx, (uint64_t)threads * BINS, sizeof *pass.counts);
+  pass.histogram = m->host->alloc(m->ctx, BINS, sizeof *pass.histogram);
+  if (block != NULL && pass.sums != NULL && pass.counts != NULL && pass.histogram != NULL) {
     memset(pass.sums, 0, m->rows * sizeof *pass.sums);
-    memset(pass.histogram, 0, (uint64_t)threads * BINS * sizeof *pass.histogram);
+    memset(pass.counts, 0, (uint64_t)threads * BINS * sizeof *pass.counts);
+    memset(pass.histogram, 0, BINS * sizeof *pass.histogram);
     status = read_all(m, job, from, to, &pass, block, block_items);
   }
   if (status == BTF_OK) {
@@ -110,10 +122,11 @@ btf_status btfi_fmf_measure(btfi_fmf_matrix *m, const btf_job *job, double from,
       if (mean != NULL) mean[row] = (float)average;
     }
     out->centred_energy = fmax(0.0, out->centred_energy);
-    out->peak = find_peak(&pass, threads, m->rows * m->texels);
+    out->peak = find_peak(&pass, m->rows * m->texels);
   }
   m->host->free(m->ctx, block);
   m->host->free(m->ctx, pass.sums);
+  m->host->free(m->ctx, pass.counts);
   m->host->free(m->ctx, pass.histogram);
   return status;
 }
