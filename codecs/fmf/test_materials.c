@@ -80,6 +80,7 @@ material material_create(btf_context *ctx, int kind, const char *directions, uin
                          uint32_t channels, bool image_major, uint32_t wrap) {
   material m = {.width = width, .height = height, .channels = channels, .image_major = image_major};
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+  random_state = 1;
   if (strcmp(directions, "one") == 0) {
     const float up[3] = {0.0f, 0.0f, 1.0f};
     assert_ok(btf_dirset_create(ctx, up, 1, &m.directions));
