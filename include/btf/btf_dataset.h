@@ -107,7 +107,8 @@ typedef struct btf_dataset_desc {
   const char *color_space;          /**< NULL = "lin_rec709" for RGB, "" otherwise; kept verbatim */
   const char *name, *source, *license; /**< NULL = unknown */
   double texels_per_mm;             /**< 0 = unknown */
-  /* Either resident samples, borrowed until `release` is called... */
+  /* Either resident samples, borrowed until `release` is called; strides of any size and sign, all 0 = dense and
+   * image-major (view, light, y, x, channel)... */
   const void *data;
   btf_strides strides;
   /* ...or a source pulled block by block. */
@@ -137,7 +138,8 @@ LIBBTF_API LIBBTF_NODISCARD btf_status btf_dataset_open(btf_context *ctx, const 
 LIBBTF_API btf_dataset *btf_dataset_retain(const btf_dataset *ds);
 LIBBTF_API void btf_dataset_release(btf_dataset *ds);
 
-/** Fills a description (the caller sets struct_size). Pointers live as long as the data set; `data` and `strides`
+/** Fills a description (the caller sets struct_size). Pointers live as long as the data set; `read`, `user` and
+ *  `release` stay NULL, for they belong to this data set. `data` and `strides`
  *  are set when the samples are resident or mapped. Threads: const. */
 LIBBTF_API btf_status btf_dataset_describe(const btf_dataset *ds, btf_dataset_desc *io);
 

@@ -132,7 +132,8 @@ typedef struct btf_host {
   void (*svd_free)(btf_context *ctx, btf_svd_result *result);
 
   /* Mip levels of a texture of n interleaved floats per texel. Level l has max(1, w >> l) x max(1, h >> l) texels,
-   * each the area average of the finest texels it covers. mip_count is the number of levels down to 1 x 1. */
+   * each the area average of the finest texels it covers. mip_count is the number of levels down to 1 x 1. Texels
+   * are src_ld (dst_ld) >= n floats apart, row after row without gaps. */
   uint32_t (*mip_count)(uint32_t width, uint32_t height);
   btf_status (*mip_filter)(btf_context *ctx, const float *src, size_t src_ld, uint32_t width, uint32_t height,
                            uint32_t n, uint32_t level, float *dst, size_t dst_ld);
