@@ -20,6 +20,8 @@ void image_init(image *im);
 void image_free(image *im);
 btf_io image_sink(image *im);
 btf_io image_source(image *im, int with_map);
+/* A read function for sources that several threads use: it neither counts nor fails. */
+int64_t image_read_uncounted(void *user, void *dst, size_t n, uint64_t offset);
 
 /* Fits a copy_codec model ("plain" or "packed" storage) of width x height texels and writes it with metadata.
  */

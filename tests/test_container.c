@@ -6,6 +6,7 @@
 #include "copy_codec.h"
 #include "model/model.h"
 
+#include <pthread.h>
 #include <sys/mman.h>
 #include <unistd.h>
 
@@ -333,6 +334,50 @@ static void sources_without_map_or_size(void **state) {
   test_context_done(ctx, &memory);
 }
 
+typedef struct loading {
+  const btf_file *file;
+  btf_status status;
+  float value[3];
+} loading;
+
+static void *load_and_read(void *user) {
+  loading *l = user;
+  btf_model *model;
+  l->status = btf_file_load_model(l->file, 0, &model);
+  if (l->status == BTF_OK) btf_model_texel(model, 0, 3, 2, 1, 4, l->value);
+  btf_model_release(model);
+  return NULL;
+}
+
+/* Loading is const: threads share one open file, and the chunks it unpacks. */
+static void threads_load_one_file(void **state) {
+  enum { THREADS = 8 };
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  loading loads[THREADS];
+  pthread_t threads[THREADS];
+  btf_file *file;
+  btf_io io;
+  image im;
+  (void)state;
+  image_of_model(ctx, &im, "packed", 5, 4, 3);
+  io = image_source(&im, 0);
+  io.read = image_read_uncounted;
+  assert_ok(btf_file_open(ctx, &io, 0, &file));
+  for (int i = 0; i < THREADS; i++) {
+    loads[i] = (loading){file, BTF_E_STATE, {0.0f, 0.0f, 0.0f}};
+    assert_int_equal(pthread_create(&threads[i], NULL, load_and_read, &loads[i]), 0);
+  }
+  for (int i = 0; i < THREADS; i++) {
+    assert_int_equal(pthread_join(threads[i], NULL), 0);
+    assert_int_equal(loads[i].status, BTF_OK);
+    assert_true(loads[i].value[2] == copy_codec_sample(4, 1, 3, 2, 2));
+  }
+  btf_file_close(file);
+  image_free(&im);
+  test_context_done(ctx, &memory);
+}
+
 /* A mapping that is not aligned to 64 bytes cannot be used in place; the chunk is read instead. */
 static void unaligned_memory(void **state) {
   test_memory memory;
@@ -367,7 +412,7 @@ static void trusted_payload_is_not_read(void **state) {
   btf_model *model;
   size_t offset, first, last, size;
   unsigned char *mapped;
-  btf_io io;
+  btf_io io = BTF_IO_INIT;
   image im;
   float value[3];
   uint32_t samples;
@@ -601,14 +646,23 @@ static void metadata_rules(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(description_comes_back),  cmocka_unit_test(packed_chunks_shrink),
-      cmocka_unit_test(same_input_same_bytes),   cmocka_unit_test(every_bit_flip),
-      cmocka_unit_test(every_truncation),        cmocka_unit_test(validation_names_the_place),
-      cmocka_unit_test(every_write_fails_once),  cmocka_unit_test(close_that_fails),
-      cmocka_unit_test(every_read_fails_once),   cmocka_unit_test(sources_without_map_or_size),
-      cmocka_unit_test(unaligned_memory),        cmocka_unit_test(trusted_payload_is_not_read),
-      cmocka_unit_test(copy_is_the_same),        cmocka_unit_test(two_files_become_one),
-      cmocka_unit_test(unknown_things_are_kept), cmocka_unit_test(damage_does_not_get_copied),
+      cmocka_unit_test(description_comes_back),
+      cmocka_unit_test(packed_chunks_shrink),
+      cmocka_unit_test(same_input_same_bytes),
+      cmocka_unit_test(every_bit_flip),
+      cmocka_unit_test(every_truncation),
+      cmocka_unit_test(validation_names_the_place),
+      cmocka_unit_test(every_write_fails_once),
+      cmocka_unit_test(close_that_fails),
+      cmocka_unit_test(every_read_fails_once),
+      cmocka_unit_test(sources_without_map_or_size),
+      cmocka_unit_test(threads_load_one_file),
+      cmocka_unit_test(unaligned_memory),
+      cmocka_unit_test(trusted_payload_is_not_read),
+      cmocka_unit_test(copy_is_the_same),
+      cmocka_unit_test(two_files_become_one),
+      cmocka_unit_test(unknown_things_are_kept),
+      cmocka_unit_test(damage_does_not_get_copied),
       cmocka_unit_test(metadata_rules),
   };
   return btf_run("container", tests);

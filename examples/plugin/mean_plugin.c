@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: MIT */
 /*
  * A codec as a plug-in, in full. "org.example.mean" keeps two averages of a material, its mean colour at each
- * texel and its mean reflectance for each pair of light and view, and evaluates their product: the best one
- * can do without any interplay of texture and direction, and a useful lower bound for other codecs.
+ * texel and its mean reflectance for each pair of light and view, and evaluates their product: what is left
+ * of a material when texture and direction know nothing of each other. Other codecs must do better.
  *
  *   cc -shared -fPIC mean_plugin.c $(pkg-config --cflags libbtf) -o org.example.mean.so
- *   btf --plugin $PWD/org.example.mean.so encode wool.btfd -o wool.btfz --codec org.example.mean
+ *   btf encode wool.btfd -o wool.btfz --codec org.example.mean --plugin $PWD/org.example.mean.so
  *
  * A plug-in links against nothing: all it needs of the library comes through the host table.
  */
@@ -15,16 +15,13 @@
 #define TEXTURE BTF_TAG('T', 'E', 'X', ' ') /* height x width x channels floats */
 #define ANGULAR BTF_TAG('A', 'N', 'G', ' ') /* views x lights x channels floats, 1 on average */
 
-static const btf_param_desc contrast = {sizeof contrast,
-                                        "contrast",
-                                        "How much of the texture is kept: 1 all of it, 0 its mean colour.",
-                                        NULL,
-                                        "1",
-                                        NULL,
-                                        0.0,
-                                        1.0,
-                                        BTF_PARAM_FLOAT,
-                                        0};
+static const btf_param_desc contrast = {
+    .struct_size = sizeof contrast,
+    .name = "contrast",
+    .type = BTF_PARAM_FLOAT,
+    .default_text = "1",
+    .maximum = 1.0,
+    .summary = "How much of the texture is kept: 1 all of it, 0 its mean colour."};
 static const btf_param_desc *const params[] = {&contrast, NULL};
 
 /* The data set is read image by image, so that any size of it fits in memory. */
@@ -155,24 +152,22 @@ static void mean_eval(const void *state, const btf_query *query, float *out) {
   }
 }
 
-static const btf_codec_vtbl mean_codec = {
-    .struct_size = sizeof(btf_codec_vtbl),
-    .abi = LIBBTF_ABI,
-    .id = "org.example.mean",
-    .title = "Mean texture times mean reflectance",
-    .version = "1.0",
-    .caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT,
-    .params = params,
-    .format_read_min = 1,
-    .format_write = 1,
-    .fit = mean_fit,
-    .load = mean_load,
-    .destroy = mean_destroy,
-    .levels = mean_levels,
-    .resident_bytes = mean_resident_bytes,
-    .eval = mean_eval,
-    .texel = mean_texel,
-};
+static const btf_codec_vtbl mean_codec = {.struct_size = sizeof(btf_codec_vtbl),
+                                          .abi = LIBBTF_ABI,
+                                          .id = "org.example.mean",
+                                          .title = "Mean texture times mean reflectance",
+                                          .version = "1.0",
+                                          .caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT,
+                                          .params = params,
+                                          .format_read_min = 1,
+                                          .format_write = 1,
+                                          .fit = mean_fit,
+                                          .load = mean_load,
+                                          .destroy = mean_destroy,
+                                          .levels = mean_levels,
+                                          .resident_bytes = mean_resident_bytes,
+                                          .eval = mean_eval,
+                                          .texel = mean_texel};
 static const btf_codec_vtbl *const codecs[] = {&mean_codec};
 static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "mean", "MIT", codecs, 1, 0};
 
