@@ -84,8 +84,7 @@ static void put_text(btfi_buffer *out, const char *text) {
   if (size != 0) btfi_put_bytes(out, text, size);
 }
 
-void btfi_model_header_encode(const btfi_model_header *h, uint32_t light_set, uint32_t view_set,
-                              uint32_t payload_chunks, btfi_buffer *out) {
+void btfi_model_header_encode(const btfi_model_header *h, const btfi_model_links *links, btfi_buffer *out) {
   btfi_put_u32(out, h->codec_format);
   btfi_put_u32(out, h->width);
   btfi_put_u32(out, h->height);
@@ -93,9 +92,9 @@ void btfi_model_header_encode(const btfi_model_header *h, uint32_t light_set, ui
   btfi_put_u32(out, h->quantity);
   btfi_put_u32(out, h->scale);
   btfi_put_u32(out, h->wrap);
-  btfi_put_u32(out, light_set);
-  btfi_put_u32(out, view_set);
-  btfi_put_u32(out, payload_chunks);
+  btfi_put_u32(out, links->light_set);
+  btfi_put_u32(out, links->view_set);
+  btfi_put_u32(out, links->payload_chunks);
   btfi_put_f64(out, h->texels_per_mm);
   btfi_put_u64(out, h->dataset_bytes);
   btfi_put_u64(out, 0);
@@ -132,8 +131,8 @@ static bool id_valid(const char *id) {
   return size > 0 && size <= 63 && strspn(id, "abcdefghijklmnopqrstuvwxyz0123456789._-") == size;
 }
 
-static btf_status check(btf_context *ctx, const char *name, const btfi_model_header *h, uint32_t light_set,
-                        uint32_t view_set, uint32_t set_count) {
+static btf_status check(btf_context *ctx, const char *name, const btfi_model_header *h,
+                        const btfi_model_links *links, uint32_t set_count) {
   const btf_limits *limits = btfi_limits(ctx);
   if (h->width == 0 || h->height == 0 || h->channels == 0)
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: %u x %u texels of %u channels; none may be 0", name, h->width,
@@ -150,9 +149,9 @@ static btf_status check(btf_context *ctx, const char *name, const btfi_model_hea
   if (h->scale > BTF_SCALE_ABSOLUTE || h->wrap > BTF_WRAP_CLAMP)
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: scale %u or wrap %u is neither 0 nor 1", name, h->scale,
                      h->wrap);
-  if (light_set >= set_count || view_set >= set_count)
+  if (links->light_set >= set_count || links->view_set >= set_count)
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: direction set %u or %u is missing; the file has %u", name,
-                     light_set, view_set, set_count);
+                     links->light_set, links->view_set, set_count);
   if (!(h->texels_per_mm >= 0.0) || isinf(h->texels_per_mm))
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: texels per mm is not a number from 0 on", name);
   return BTF_OK;
@@ -160,9 +159,8 @@ static btf_status check(btf_context *ctx, const char *name, const btfi_model_hea
 
 btf_status btfi_model_header_decode(btf_context *ctx, const char *name, const void *data, uint64_t size,
                                     btf_dirset *const *sets, uint32_t set_count, btfi_model_header *h,
-                                    uint32_t *payload_chunks) {
+                                    btfi_model_links *links) {
   btfi_cursor c = {data, size, 0, false};
-  uint32_t light_set, view_set;
   memset(h, 0, sizeof *h);
   if (size < FIXED_SIZE)
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: %llu bytes, less than the %u of the fixed part", name,
@@ -174,13 +172,13 @@ btf_status btfi_model_header_decode(btf_context *ctx, const char *name, const vo
   h->quantity = btfi_get_u32(&c);
   h->scale = btfi_get_u32(&c);
   h->wrap = btfi_get_u32(&c);
-  light_set = btfi_get_u32(&c);
-  view_set = btfi_get_u32(&c);
-  *payload_chunks = btfi_get_u32(&c);
+  links->light_set = btfi_get_u32(&c);
+  links->view_set = btfi_get_u32(&c);
+  links->payload_chunks = btfi_get_u32(&c);
   h->texels_per_mm = btfi_get_f64(&c);
   h->dataset_bytes = btfi_get_u64(&c);
   btfi_get_u64(&c); /* reserved */
-  BTFI_TRY(check(ctx, name, h, light_set, view_set, set_count));
+  BTFI_TRY(check(ctx, name, h, links, set_count));
   BTFI_TRY(get_text(ctx, name, &c, false, &h->codec_id));
   BTFI_TRY(get_text(ctx, name, &c, false, &h->color_space));
   BTFI_TRY(get_text(ctx, name, &c, true, &h->name));
@@ -192,7 +190,7 @@ btf_status btfi_model_header_decode(btf_context *ctx, const char *name, const vo
   if (c.overrun) return btfi_fail(ctx, BTF_E_CORRUPT, "%s: the chunk ends within its texts", name);
   if (!id_valid(h->codec_id))
     return btfi_fail(ctx, BTF_E_CORRUPT, "%s: the codec id is not 1 to 63 of [a-z0-9._-]", name);
-  h->lights = btf_dirset_retain(sets[light_set]);
-  h->views = btf_dirset_retain(sets[view_set]);
+  h->lights = btf_dirset_retain(sets[links->light_set]);
+  h->views = btf_dirset_retain(sets[links->view_set]);
   return BTF_OK;
 }

@@ -49,13 +49,17 @@ btf_status btfi_payload_add(btfi_payload *p, uint32_t tag, uint32_t index, uint3
 
 btf_status btfi_model_header_from_dataset(btf_context *ctx, const btf_dataset *ds, const char *codec_id,
                                           uint32_t codec_format, btfi_model_header *out);
-void btfi_model_header_encode(const btfi_model_header *h, uint32_t light_set, uint32_t view_set,
-                              uint32_t payload_chunks, btfi_buffer *out);
+/* What a MODL chunk says about other chunks. */
+typedef struct btfi_model_links {
+  uint32_t light_set, view_set; /* numbers of DIRS chunks */
+  uint32_t payload_chunks;
+} btfi_model_links;
+void btfi_model_header_encode(const btfi_model_header *h, const btfi_model_links *links, btfi_buffer *out);
 /* Parses a MODL chunk. The direction sets are looked up in `sets`. Fields of `out` are freed by _free in any
  * case. */
 btf_status btfi_model_header_decode(btf_context *ctx, const char *name, const void *data, uint64_t size,
                                     btf_dirset *const *sets, uint32_t set_count, btfi_model_header *out,
-                                    uint32_t *payload_chunks);
+                                    btfi_model_links *links);
 void btfi_model_header_free(btf_context *ctx, btfi_model_header *h);
 /* Bytes of a MODL chunk at which the numbers of the light and the view set stand. */
 enum { BTFI_MODEL_LIGHT_SET = 28, BTFI_MODEL_VIEW_SET = 32 };

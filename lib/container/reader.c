@@ -91,18 +91,14 @@ static uint64_t record_bytes(const btfi_entry *e) {
   return btfi_align(e->stored) + 2 * BTFI_ENTRY_SIZE;
 }
 
-/* Payload chunks of model i, in the order of the file. */
-static btf_status collect_payload(btf_file *f, btfi_payload *p, uint32_t first, uint32_t count) {
-  btfi_slot *slot;
-  /* `order` groups by name, while a copy of the model shall have its chunks as they stood. */
-  uint32_t low = f->header.count, high = 0;
-  for (uint32_t k = 0; k < count; k++) {
-    low = BTFI_MIN(low, f->order[first + k]);
-    high = BTFI_MAX(high, f->order[first + k]);
-  }
-  for (uint32_t k = low; k <= high && count != 0; k++) {
-    const btfi_entry *e = &f->entries[k];
-    if (e->type != BTFI_TYPE_PAYLOAD || e->model != f->entries[f->order[first]].model) continue;
+/* Gives the payload chunks to their models, in the order of the file, which a copy of a model shall keep. */
+static btf_status hand_out_payload(btf_file *f) {
+  for (uint32_t i = 0; i < f->header.count; i++) {
+    const btfi_entry *e = &f->entries[i];
+    btfi_payload *p;
+    btfi_slot *slot;
+    if (e->type != BTFI_TYPE_PAYLOAD) continue;
+    p = f->models[e->model];
     BTFI_TRY(btfi_payload_add(p, e->tag, e->index,
                               (e->flags & BTFI_CHUNK_IN_PLACE) != 0 ? BTF_PAYLOAD_IN_PLACE : 0, &slot));
     slot->size = e->raw;
@@ -113,7 +109,8 @@ static btf_status collect_payload(btf_file *f, btfi_payload *p, uint32_t first, 
 }
 
 static btf_status read_model(btf_file *f, const btfi_entry *e, btfi_payload *p) {
-  uint32_t first, expected = 0;
+  uint32_t first;
+  btfi_model_links links = {0, 0, 0};
   const uint32_t count = btfi_file_range(f, BTFI_TYPE_PAYLOAD, e->model, &first);
   char name[BTFI_NAME_SIZE], where[BTFI_NAME_SIZE + 256];
   btf_status status;
@@ -121,22 +118,20 @@ static btf_status read_model(btf_file *f, const btfi_entry *e, btfi_payload *p) 
   snprintf(where, sizeof where, "%.255s: %s", f->source->name, btfi_entry_name(e, name));
   if (e->index != 0) return btfi_fail(f->ctx, BTF_E_CORRUPT, "%s: a model has one header, of index 0", where);
   BTFI_TRY(read_small(f, e, BTFI_MODEL_CHUNK_LIMIT, &data));
-  status =
-      btfi_model_header_decode(f->ctx, where, data, e->raw, f->sets, f->set_count, &p->header, &expected);
+  status = btfi_model_header_decode(f->ctx, where, data, e->raw, f->sets, f->set_count, &p->header, &links);
   btfi_free(f->ctx, data);
   BTFI_TRY(status);
-  if (count != expected)
+  if (count != links.payload_chunks)
     return btfi_fail(f->ctx, BTF_E_CORRUPT, "%s: %u payload chunks, the header of the model says %u", where,
-                     count, expected);
+                     count, links.payload_chunks);
   p->source = btfi_source_retain(f->source);
   p->sealed = true;
   p->stored_bytes = record_bytes(e);
-  for (uint32_t i = 0, of_type = btfi_file_range(f, BTFI_TYPE_DIRECTIONS, BTFI_NO_MODEL, &first); i < of_type;
-       i++)
-    if (f->sets[i] == p->header.lights || f->sets[i] == p->header.views)
-      p->stored_bytes += record_bytes(&f->entries[f->order[first + i]]);
-  btfi_file_range(f, BTFI_TYPE_PAYLOAD, e->model, &first);
-  return collect_payload(f, p, first, count);
+  btfi_file_range(f, BTFI_TYPE_DIRECTIONS, BTFI_NO_MODEL, &first);
+  p->stored_bytes += record_bytes(&f->entries[f->order[first + links.light_set]]);
+  if (links.view_set != links.light_set)
+    p->stored_bytes += record_bytes(&f->entries[f->order[first + links.view_set]]);
+  return BTF_OK;
 }
 
 static btf_status read_models(btf_file *f) {
@@ -162,7 +157,7 @@ static btf_status read_models(btf_file *f) {
     f->model_count = i + 1;
     BTFI_TRY(read_model(f, &f->entries[f->order[first]], f->models[i]));
   }
-  return BTF_OK;
+  return hand_out_payload(f);
 }
 
 /* ---- opening and closing ---- */

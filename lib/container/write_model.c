@@ -100,13 +100,13 @@ static btf_status write_set(btf_writer *w, const btf_dirset *set, uint32_t *numb
 static btf_status write_header(btf_writer *w, const btfi_payload *p) {
   btfi_entry e = {BTFI_TYPE_MODEL, 0, 0, 0, w->model_count, 0, 0, 0, 0, 0};
   const btfi_model_header *h = btfi_payload_header(p);
-  uint32_t lights, views;
+  btfi_model_links links = {0, 0, btfi_payload_chunk_count(p)};
   btfi_buffer bytes;
   btf_status status;
-  BTFI_TRY(write_set(w, h->lights, &lights));
-  BTFI_TRY(write_set(w, h->views, &views));
+  BTFI_TRY(write_set(w, h->lights, &links.light_set));
+  BTFI_TRY(write_set(w, h->views, &links.view_set));
   btfi_buffer_init(&bytes, w->ctx);
-  btfi_model_header_encode(h, lights, views, btfi_payload_chunk_count(p), &bytes);
+  btfi_model_header_encode(h, &links, &bytes);
   status = bytes.status;
   if (status == BTF_OK && bytes.size > BTFI_MODEL_CHUNK_LIMIT)
     status =
