@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* bench_svd: the truncated SVD of a large mapped data set, against the machine's own bounds and against scikit-learn.
- * The decomposition is reached as codecs reach it: through the host table, from inside a codec's fit. */
+/* bench_svd: the truncated SVD of a large mapped data set, against the machine's own bounds and against
+ * scikit-learn. The decomposition is reached as codecs reach it: through the host table, from inside a
+ * codec's fit. */
 #include <errno.h>
 #include <math.h>
 #include <stdio.h>
@@ -117,8 +118,14 @@ static btf_status read_images(void *user, uint64_t item0, uint64_t items, float 
   btf_status status = BTF_OK;
   for (uint64_t done = 0; done < items && status == BTF_OK; done += channels) {
     const uint64_t image = (item0 + done) / channels;
-    const btf_block block = {(uint32_t)(image / run->lights), 1, (uint32_t)(image % run->lights), 1, 0, 0,
-                             run->shape.width,                run->shape.height};
+    const btf_block block = {(uint32_t)(image / run->lights),
+                             1,
+                             (uint32_t)(image % run->lights),
+                             1,
+                             0,
+                             0,
+                             run->shape.width,
+                             run->shape.height};
     const btf_strides strides = {row, row, (ptrdiff_t)(run->shape.width * sizeof(float)), sizeof(float), row};
     status = run->host->dataset_read(run->ds, &block, dst + done * ld, &strides);
   }
@@ -128,8 +135,8 @@ static btf_status read_images(void *user, uint64_t item0, uint64_t items, float 
   return status;
 }
 
-static btf_status fit_probe(const btf_host *host, btf_context *ctx, const btf_dataset *ds, const btf_options *options,
-                            const btf_job *job, btf_chunk_writer *payload) {
+static btf_status fit_probe(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
+                            const btf_options *options, const btf_job *job, btf_chunk_writer *payload) {
   bench_run *run = current;
   (void)options;
   (void)payload;
@@ -168,8 +175,8 @@ static btf_status fit_probe(const btf_host *host, btf_context *ctx, const btf_da
   return status == BTF_OK ? host->fail(ctx, BTF_E_CANCELLED, "bench_svd: measured") : status;
 }
 
-static btf_status load_probe(const btf_host *host, btf_context *ctx, uint32_t format, const btf_model_shape *shape,
-                             btf_chunk_reader *payload, void **state) {
+static btf_status load_probe(const btf_host *host, btf_context *ctx, uint32_t format,
+                             const btf_model_shape *shape, btf_chunk_reader *payload, void **state) {
   (void)format;
   (void)shape;
   (void)payload;
@@ -194,8 +201,8 @@ static void eval_probe(const void *state, const btf_query *query, float *out) {
   (void)query;
   out[0] = 0;
 }
-static void texel_probe(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view,
-                        float *out) {
+static void texel_probe(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
+                        uint32_t view, float *out) {
   (void)state, (void)level, (void)x, (void)y, (void)light, (void)view;
   out[0] = 0;
 }
@@ -242,7 +249,8 @@ static int decompose(btf_context *ctx, const btf_dataset *ds, const bench_option
 
 static double square_product_rate(void) {
   enum { N = 1536 };
-  float *a = malloc(sizeof(float) * N * N), *b = malloc(sizeof(float) * N * N), *c = malloc(sizeof(float) * N * N);
+  float *a = malloc(sizeof(float) * N * N), *b = malloc(sizeof(float) * N * N),
+        *c = malloc(sizeof(float) * N * N);
   double best = 0;
   if (a != NULL && b != NULL && c != NULL) {
     for (size_t k = 0; k < (size_t)N * N; k++) {
@@ -278,7 +286,8 @@ static double read_rate(const btf_dataset_desc *shape, uint64_t bytes) {
 
 /* ---- optimum, found once and kept beside the data ---- */
 
-static double optimal_error(btf_context *ctx, const btf_dataset *ds, const bench_options *options, uint32_t rank) {
+static double optimal_error(btf_context *ctx, const btf_dataset *ds, const bench_options *options,
+                            uint32_t rank) {
   char path[4200];
   double error = 0;
   snprintf(path, sizeof path, "%s-optimum-%u.txt", options->folder, rank);
@@ -307,13 +316,13 @@ typedef struct peer_run {
   char kernel[64];
 } peer_run;
 
-static int run_peer(const bench_options *options, const btf_dataset_desc *shape, uint64_t rows, const bench_case *what,
-                    peer_run *out) {
+static int run_peer(const bench_options *options, const btf_dataset_desc *shape, uint64_t rows,
+                    const bench_case *what, peer_run *out) {
   char command[9000], line[512];
   snprintf(command, sizeof command,
-           "env -u OPENBLAS_CORETYPE -u OPENBLAS_L2_SIZE %s \"%s/samples.bin\" %llu %u %u %u %s", options->peer,
-           options->folder, (unsigned long long)rows, shape->width * shape->height, shape->channels, what->rank,
-           what->peer_settings);
+           "env -u OPENBLAS_CORETYPE -u OPENBLAS_L2_SIZE %s \"%s/samples.bin\" %llu %u %u %u %s",
+           options->peer, options->folder, (unsigned long long)rows, shape->width * shape->height,
+           shape->channels, what->rank, what->peer_settings);
   FILE *pipe = popen(command, "r");
   if (pipe == NULL) return 1;
   int fields = 0;
@@ -327,11 +336,13 @@ static int run_peer(const bench_options *options, const btf_dataset_desc *shape,
 /* ---- main ---- */
 
 static int usage(void) {
-  fprintf(stderr,
-          "usage: bench_svd [--folder DIR] [--material smooth|rare|noisy] [--size N] [--directions NAME]\n"
-          "                 [--memory MiB] [--runs N] [--case 1..4] [--block-items N] [--by-image] [--threads N]\n"
-          "                 [--peer \"/usr/bin/python3 bench/peer_svd.py\"] [--verbose]\n"
-          "DIR gets a data-set folder of 2.6 GB unless it has one; default $TMPDIR/bench_svd-<material>.btfd\n");
+  fprintf(
+      stderr,
+      "usage: bench_svd [--folder DIR] [--material smooth|rare|noisy] [--size N] [--directions NAME]\n"
+      "                 [--memory MiB] [--runs N] [--case 1..4] [--block-items N] [--by-image] [--threads "
+      "N]\n"
+      "                 [--peer \"/usr/bin/python3 bench/peer_svd.py\"] [--verbose]\n"
+      "DIR gets a data-set folder of 2.6 GB unless it has one; default $TMPDIR/bench_svd-<material>.btfd\n");
   return 2;
 }
 
@@ -394,11 +405,12 @@ static void print_log(void *user, int32_t level, btf_status code, const char *me
   fprintf(stderr, "  %s\n", message);
 }
 
-static int bench_one(btf_context *ctx, const btf_dataset *ds, const bench_options *o, const btf_dataset_desc *shape,
-                     uint64_t rows, const bench_case *what) {
+static int bench_one(btf_context *ctx, const btf_dataset *ds, const bench_options *o,
+                     const btf_dataset_desc *shape, uint64_t rows, const bench_case *what) {
   const double optimum = optimal_error(ctx, ds, o, what->rank);
   if (optimum <= 0) return 1;
-  double ours = INFINITY, theirs = INFINITY, ours_processor = INFINITY, theirs_processor = INFINITY, worst_error = 0, peer_error = 0, conversion = 0;
+  double ours = INFINITY, theirs = INFINITY, ours_processor = INFINITY, theirs_processor = INFINITY,
+         worst_error = 0, peer_error = 0, conversion = 0;
   uint64_t peak = 0;
   uint32_t passes = 0;
   double reading = 0;
@@ -427,15 +439,17 @@ static int bench_one(btf_context *ctx, const btf_dataset *ds, const bench_option
       memcpy(kernel, peer.kernel, sizeof kernel);
     }
   }
-  printf("rank %3u within %.4f: %6.2f s (%.2f reading; %.2f processor), %u passes, %4llu MiB beside the mapping, error %.6f = %.5f of "
+  printf("rank %3u within %.4f: %6.2f s (%.2f reading; %.2f processor), %u passes, %4llu MiB beside the "
+         "mapping, error %.6f = %.5f of "
          "the optimum\n",
-         what->rank, 1 + what->tolerance, ours, reading, ours_processor, passes, (unsigned long long)(peak >> 20), worst_error,
-         worst_error / optimum);
+         what->rank, 1 + what->tolerance, ours, reading, ours_processor, passes,
+         (unsigned long long)(peak >> 20), worst_error, worst_error / optimum);
   if (o->peer != NULL)
-    printf("    scikit-learn, iterations and normaliser \"%s\", %s kernels: %6.2f s (%.2f processor; and %.2f to convert), %.5f "
+    printf("    scikit-learn, iterations and normaliser \"%s\", %s kernels: %6.2f s (%.2f processor; and "
+           "%.2f to convert), %.5f "
            "of the optimum: %.2f times ours, %.2f in processor time\n",
-           what->peer_settings, kernel, theirs, theirs_processor, conversion, peer_error / optimum, theirs / ours,
-           theirs_processor / ours_processor);
+           what->peer_settings, kernel, theirs, theirs_processor, conversion, peer_error / optimum,
+           theirs / ours, theirs_processor / ours_processor);
   fflush(stdout);
   return 0;
 }
@@ -469,7 +483,8 @@ int main(int argc, char **argv) {
     printf("%s: %llu x %u, %s items, kernels of the library %s, of OpenBLAS %s\n", options.folder,
            (unsigned long long)(rows * shape.channels), shape.width * shape.height,
            options.by_image ? "image" : "texel", btf_context_isa(ctx), openblas_get_corename());
-    printf("bounds: square sgemm %.0f GFLOP/s, reading the mapping with one thread %.1f GB/s; one pass with 48 columns "
+    printf("bounds: square sgemm %.0f GFLOP/s, reading the mapping with one thread %.1f GB/s; one pass with "
+           "48 columns "
            "%.2f s, with 112 %.2f s\n",
            rate, 1e-9 * bandwidth, 4e-9 * 48 * (double)values / rate, 4e-9 * 112 * (double)values / rate);
     fflush(stdout);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* svd_material.c: every texel has a height, a normal, a diffuse colour, a gloss lobe, a soft mask and a fuzz term. Relief
- * shifts what a view sees of the texture and casts shadows, which gives singular values that fall off as slowly as those
- * of measured materials do. */
+/* svd_material.c: every texel has a height, a normal, a diffuse colour, a gloss lobe, a soft mask and a fuzz
+ * term. Relief shifts what a view sees of the texture and casts shadows, which gives singular values that
+ * fall off as slowly as those of measured materials do. */
 #include "svd_material.h"
 
 #include <math.h>
@@ -43,7 +43,9 @@ static void normalise(float v[3]) {
   for (int k = 0; k < 3; k++) v[k] /= length;
 }
 
-static float dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+static float dot3(const float *a, const float *b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 
 /* Periodic sum of waves, some octaves of them; `which` picks the field. */
 static float field(uint32_t which, float u, float v, int octaves) {
@@ -93,7 +95,8 @@ static float flare_of(const material *m, uint32_t light) {
 }
 
 /* The texel that lies `rise` heights along a direction from this one, round the periodic texture. */
-static const texel_optics *texel_along(const material *m, uint32_t x, uint32_t y, const float *direction, float rise) {
+static const texel_optics *texel_along(const material *m, uint32_t x, uint32_t y, const float *direction,
+                                       float rise) {
   const float reach = rise / fmaxf(direction[2], 0.25f) * (float)m->size / 256;
   const uint32_t tx = (uint32_t)((int)(x + m->size) + (int)lrintf(direction[0] * reach)) % m->size;
   const uint32_t ty = (uint32_t)((int)(y + m->size) + (int)lrintf(direction[1] * reach)) % m->size;
@@ -130,12 +133,14 @@ static void shade_light(const material *m, uint32_t light) {
   }
 }
 
-
-btf_status material_write(btf_context *ctx, const char *folder, int kind, uint32_t size, const char *directions) {
+btf_status material_write(btf_context *ctx, const char *folder, int kind, uint32_t size,
+                          const char *directions) {
   btf_dirset *set = NULL;
   btf_status status = btf_dirset_create_named(ctx, directions, &set);
   if (status != BTF_OK) return status;
-  material m = {kind, size, btf_dirset_count(set), btf_dirset_directions(set), btf_dirset_directions(set), NULL, NULL, 0};
+  material m = {
+      kind, size, btf_dirset_count(set), btf_dirset_directions(set), btf_dirset_directions(set), NULL,
+      NULL, 0};
   const size_t texels = (size_t)size * size;
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   desc.lights = desc.views = set;
@@ -153,7 +158,8 @@ btf_status material_write(btf_context *ctx, const char *folder, int kind, uint32
   for (m.view_index = 0; status == BTF_OK && m.view_index < m.lights; m.view_index++) {
     const btf_block block = {m.view_index, 1, 0, m.lights, 0, 0, size, size};
     const ptrdiff_t pixel = 3 * sizeof(float), image = pixel * (ptrdiff_t)texels;
-    const btf_strides strides = {image * (ptrdiff_t)m.lights, image, pixel * (ptrdiff_t)size, pixel, sizeof(float)};
+    const btf_strides strides = {image * (ptrdiff_t)m.lights, image, pixel * (ptrdiff_t)size, pixel,
+                                 sizeof(float)};
 #ifdef _OPENMP
 #pragma omp parallel for schedule(dynamic)
 #endif

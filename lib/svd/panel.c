@@ -90,13 +90,14 @@ static void pack_stripes(size_t stripe_count, size_t depth, const float *a, size
   }
 }
 
-/* c (rows x width) += a (rows x depth) * b (depth x width) for `rows` rows of a. */
+/* c (rows x width) += a (rows x depth) * b (depth x width) for `rows` rows of a; `after` is where the next
+ * call will begin. */
 static void multiply_rows(const product_job *job, size_t rows, size_t depth, const float *a, size_t a_row,
-                          size_t a_step, size_t b_rows, size_t b_first, float *c) {
+                          size_t a_step, const float *after, size_t b_rows, size_t b_first, float *c) {
   if (a_row != 1) {
     for (size_t row = 0; row < rows; row += BTFI_SLAB_GRAIN) {
-      if (row + BTFI_SLAB_GRAIN < rows)
-        fetch_lines(a + (row + BTFI_SLAB_GRAIN) * a_row, BTFI_SLAB_GRAIN, a_row, depth);
+      const float *next = row + BTFI_SLAB_GRAIN < rows ? a + (row + BTFI_SLAB_GRAIN) * a_row : after;
+      if (next != NULL) fetch_lines(next, BTFI_SLAB_GRAIN, a_row, depth);
       sweep_columns(job, depth, a + row * a_row, a_row, a_step, b_rows, b_first, c + row * job->width);
     }
     return;
@@ -104,7 +105,7 @@ static void multiply_rows(const product_job *job, size_t rows, size_t depth, con
   float stripes[2][DEPTH * BTFI_SLAB_GRAIN];
   for (size_t row = 0; row < rows; row += 2 * BTFI_SLAB_GRAIN) {
     const size_t count = row + BTFI_SLAB_GRAIN < rows ? 2 : 1;
-    const float *next = row + 2 * BTFI_SLAB_GRAIN < rows ? a + row + 2 * BTFI_SLAB_GRAIN : NULL;
+    const float *next = row + 2 * BTFI_SLAB_GRAIN < rows ? a + row + 2 * BTFI_SLAB_GRAIN : after;
     pack_stripes(count, depth, a + row, a_step, next, stripes);
     for (size_t s = 0; s < count; s++)
       sweep_columns(job, depth, stripes[s], 1, BTFI_SLAB_GRAIN, b_rows, b_first,
@@ -123,10 +124,12 @@ static void project_task(void *user, uint32_t index, uint32_t thread) {
   if (job->norms != NULL) memset(job->norms + first, 0, (last - first) * sizeof(double));
   for (size_t element = 0; element < slab->length; element += DEPTH) {
     const size_t depth = BTFI_MIN((size_t)DEPTH, slab->length - element);
-    if (job->tile != NULL)
-      multiply_rows(job, last - first, depth,
-                    slab->data + first * slab->item_step + element * slab->element_step, slab->item_step,
-                    slab->element_step, slab->length, element, job->projection + first * job->width);
+    if (job->tile != NULL) {
+      const float *a = slab->data + first * slab->item_step + element * slab->element_step;
+      const float *after = element + 2 * DEPTH <= slab->length ? a + DEPTH * slab->element_step : NULL;
+      multiply_rows(job, last - first, depth, a, slab->item_step, slab->element_step, after, slab->length,
+                    element, job->projection + first * job->width);
+    }
     if (job->norms != NULL) add_norms(slab, first, last, element, depth, job->norms);
   }
 }
@@ -140,14 +143,16 @@ static void accumulate_task(void *user, uint32_t index, uint32_t thread) {
   for (size_t i = 0; i < slab->items; i += DEPTH) {
     const size_t depth = BTFI_MIN((size_t)DEPTH, slab->items - i);
     multiply_rows(job, last - first, depth, slab->data + i * slab->item_step + first * slab->element_step,
-                  slab->element_step, slab->item_step, slab->items, i, job->image + first * job->width);
+                  slab->element_step, slab->item_step, NULL, slab->items, i, job->image + first * job->width);
   }
 }
 
 static btf_status share_out(btf_context *ctx, product_job *job, size_t extent, btf_task_fn task) {
   const size_t grains = extent / BTFI_SLAB_GRAIN, threads = btfi_thread_count(ctx);
-  /* Few tasks for each thread: enough to even out, and each still long. */
-  const size_t tasks = BTFI_MAX((size_t)1, BTFI_MIN(grains / 4, threads > 1 ? 2 * threads : 1));
+  /* Long tasks, since each reads all of the other operand; a few more than threads only where there is
+   * plenty. */
+  const size_t tasks =
+      BTFI_MAX((size_t)1, grains >= 64 * threads ? 2 * threads : BTFI_MIN(grains / 4, threads));
   job->grains_per_task = (grains + tasks - 1) / tasks;
   const uint32_t count = (uint32_t)((grains + job->grains_per_task - 1) / job->grains_per_task);
   if (count == 1) {

@@ -9,9 +9,9 @@
 #include "svd/svd_state.h"
 
 static const uint64_t default_working_set = (uint64_t)1 << 30;
-static const double default_tolerance = 0.0005;
+static const double default_tolerance = 0.0005, tight_tolerance = 0.005;
 /* Below this part of the energy, a residual is not taken as a difference of float sums. */
-static const double smallest_difference = 1e-4;
+static const double smallest_difference = 2e-6;
 
 /* Float panels give a singular value to about this part of the largest: smaller changes mean nothing. */
 static const double noise = 2e-7;
@@ -21,10 +21,10 @@ enum {
   BLOCK_BYTES = 10 << 20, /* a block is met twice, so it should still be in L3 the second time */
   SMALLEST_BLOCK = 64,
   LARGEST_BLOCK = 8192,
-  RUN = 16,
+  RUN = 32,
   SAMPLE_MIN = 2048,
   SAMPLE_MAX = 8192,
-  SAMPLE_PER_COLUMN = 64,
+  SAMPLE_PER_COLUMN = 96,
   FIRST_TARGET_RANK = 24
 };
 
@@ -63,9 +63,11 @@ static bool count_bytes(const btf_svd_desc *desc, const svd_plan *plan, uint64_t
 
 static btf_status make_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t rank, svd_plan *plan) {
   const uint64_t smaller = BTFI_MIN(desc->items, desc->length);
+  /* Columns beyond the rank speed up convergence; a loose tolerance gets by with few. */
+  const uint32_t spare = BTFI_MAX(8u, desc->tolerance < tight_tolerance ? rank / 4 : rank / 8);
   memset(plan, 0, sizeof *plan);
   plan->rank = rank;
-  plan->width = (uint32_t)round_up(BTFI_MIN(smaller, rank + BTFI_MAX(8u, rank / 8)), BTFI_PANEL_GRAIN);
+  plan->width = (uint32_t)round_up(BTFI_MIN(smaller, rank + spare), BTFI_PANEL_GRAIN);
   plan->length_padded = (size_t)round_up(desc->length, BTFI_SLAB_GRAIN);
 
   const uint64_t item_bytes = plan->length_padded * sizeof(float);

@@ -6,7 +6,7 @@
 
 #include "svd/svd_state.h"
 
-enum { SAMPLE_ROUNDS = 8, PROBES = 96 };
+enum { SAMPLE_ROUNDS = 8, COARSE = 4, PROBES = 96 };
 
 static uint64_t sample_block(const svd_state *s, uint64_t b) {
   return s->plan.held ? b * s->plan.block_count / s->plan.sample_blocks : b;
@@ -45,14 +45,14 @@ bool btfi_svd_set_direction(svd_state *s, float *direction, uint32_t slot) {
   return true;
 }
 
-/* One step of subspace iteration within the sample, orthonormal after each half. */
-static btf_status sample_round(svd_state *s, double *energy) {
+/* One step of subspace iteration within every step-th block of the sample, orthonormal after each half. */
+static btf_status sample_round(svd_state *s, uint64_t step, double *energy) {
   const svd_plan *plan = &s->plan;
   uint64_t rows = 0;
   uint32_t kept;
   *energy = 0;
   btfi_panel_pack(s->ctx, s->basis, plan->length_padded, plan->width, s->packed_basis);
-  for (uint64_t b = 0; b < plan->sample_blocks; b++) {
+  for (uint64_t b = 0; b < plan->sample_blocks; b += step) {
     const uint64_t items = sample_block_size(s, b);
     const btfi_slab slab = btfi_svd_slab(s, sample_data(s, b), items);
     BTFI_TRY(btfi_slab_project(s->ctx, &slab, s->packed_basis, plan->width,
@@ -63,7 +63,7 @@ static btf_status sample_round(svd_state *s, double *energy) {
   BTFI_TRY(btfi_svd_orthonormalise(s, s->projection, (size_t)rows, &kept));
   memset(s->image, 0, plan->length_padded * plan->width * sizeof(float));
   rows = 0;
-  for (uint64_t b = 0; b < plan->sample_blocks; b++) {
+  for (uint64_t b = 0; b < plan->sample_blocks; b += step) {
     const uint64_t items = sample_block_size(s, b);
     const btfi_slab slab = btfi_svd_slab(s, sample_data(s, b), items);
     btfi_svd_pack_projection(s, rows, items, &slab);
@@ -121,19 +121,30 @@ btf_status btfi_svd_start(svd_state *s, double *tail) {
   random_panel(s, s->basis);
   if (plan->sample_blocks == 0) return btfi_svd_orthonormalise(s, s->basis, plan->length_padded, &kept);
 
-  double captured_before = 0, energy = 0, captured = 0;
+  double energy = 0, captured = 0;
   uint64_t items = 0;
   for (uint64_t b = 0; b < plan->sample_blocks; b++) items += sample_block_size(s, b);
-  for (int round = 0; round < SAMPLE_ROUNDS; round++) {
-    BTFI_TRY(sample_round(s, &energy));
-    captured = 0;
-    for (uint32_t i = 0; i < BTFI_MIN(s->found, plan->rank); i++) captured += s->ritz[i];
-    /* The sample differs from the matrix by about rank / items of the rest: no use in being more exact within
-     * it. */
-    const double rest = fmax(0, energy - captured), noise = 0.1 * rest * plan->rank / (double)items;
-    if (round > 0 && captured - captured_before <= fmax(noise, 1e-7 * energy)) break;
-    captured_before = captured;
-    BTFI_TRY(btfi_svd_report(s, 0.1 + 0.1 * (round + 1) / SAMPLE_ROUNDS));
+  /* Most of the way can be gone on a part of the sample. */
+  uint64_t step = items / COARSE >= (uint64_t)COARSE * plan->width ? COARSE : 1;
+  for (;;) {
+    const double items_used = (double)items / (double)step;
+    double captured_before = 0, gain_before = 0;
+    for (int round = 0; round < SAMPLE_ROUNDS; round++) {
+      BTFI_TRY(sample_round(s, step, &energy));
+      captured = 0;
+      for (uint32_t i = 0; i < BTFI_MIN(s->found, plan->rank); i++) captured += s->ritz[i];
+      const double gain = captured - captured_before;
+      const double next_gain = round > 1 && gain < gain_before ? gain * gain / gain_before : gain;
+      /* The sample differs from the matrix by about rank / items of the rest: no use in being more exact in
+       * it. */
+      const double noise = 0.1 * fmax(0, energy - captured) * plan->rank / items_used;
+      if (round > 0 && next_gain <= fmax(noise, 1e-7 * energy)) break;
+      gain_before = gain;
+      captured_before = captured;
+      BTFI_TRY(btfi_svd_report(s, 0.1 + 0.05 * (round + 1) / SAMPLE_ROUNDS + (step > 1 ? 0 : 0.05)));
+    }
+    if (step == 1) break;
+    step = 1;
   }
   const double scale = (double)s->desc->items / (double)items;
   s->sample_rest = fmax(0, energy - captured) * scale;
