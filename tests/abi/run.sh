@@ -42,7 +42,7 @@ grep -hE '^#define (BTF_MAGIC|BTF_VERSION|BTF_KIND|BTF_INT_|BTF_INFO|BTF_MAX_|BT
 verdict "no macro of <linux/btf.h>" $s
 
 if command -v abidw >/dev/null; then
-  abidw --no-corpus-path --no-comp-dir-path --no-architecture --no-show-locs --short-locs --headers-dir "$source/include" \
+  abidw --no-corpus-path --no-comp-dir-path --no-show-locs --short-locs --headers-dir "$source/include" \
     --out-file "$work/now.abi" "$library"
   if [ "${3-}" = --update ]; then cp "$work/now.abi" "$source/tests/abi/baseline.abi"; fi
   abidiff --no-show-locs --headers-dir2 "$source/include" "$source/tests/abi/baseline.abi" "$library" && s=0 || s=1
