@@ -71,7 +71,8 @@ static double gain_of(const side_statistics *statistics, uint32_t k, uint32_t si
 
 static void choose_columns(const side_statistics *statistics, uint32_t components, uint32_t storage,
                            double tolerated, btfi_fmf_plan *plan) {
-  const uint32_t in_padding = (components + 3u) & ~3u;
+  /* Rows of a few components are short whatever they hold. */
+  const uint32_t in_padding = components <= 8 ? 8 : (components + 3u) & ~3u;
   uint32_t most = storage == FMF_Q8 ? components + EXTRA_COLUMNS : in_padding;
   uint8_t kept[FMF_MAX_COMPONENTS][2] = {{0}};
   if (storage == FMF_F32) most = components;
