@@ -9,7 +9,7 @@
 #include "svd/svd_state.h"
 
 static const uint64_t default_working_set = (uint64_t)1 << 30;
-static const double default_tolerance = 0.0005, tight_tolerance = 0.005;
+static const double default_tolerance = 0.0005;
 /* Below this part of the energy, a residual is not taken as a difference of float sums. */
 static const double smallest_difference = 2e-6;
 
@@ -25,7 +25,8 @@ enum {
   SAMPLE_MIN = 2048,
   SAMPLE_MAX = 8192,
   SAMPLE_PER_COLUMN = 96,
-  FIRST_TARGET_RANK = 24
+  FIRST_TARGET_RANK = 24,
+  REFINE_GAIN = 20 /* what refining reduces an error by, or more */
 };
 
 static uint64_t round_up(uint64_t value, uint64_t grain) {
@@ -55,16 +56,21 @@ static bool count_bytes(const btf_svd_desc *desc, const svd_plan *plan, uint64_t
   if (!btfi_mul((uint64_t)plan->block_floats * sizeof(float), blocks + 1, &held)) return false;
   if (!btfi_mul(desc->items, (width - plan->rank) * sizeof(float), &surplus)) return false;
   if (!btfi_mul(plan->length_padded, (3 * width + 1) * sizeof(float), &panels)) return false;
+  const uint64_t both = 2 * width;
+  uint64_t second = 0;
+  if (plan->refine && !btfi_mul(desc->items + BTFI_SLAB_GRAIN, width * sizeof(float), &second)) return false;
+  if (plan->refine && !btfi_add(second, (SVD_WIDE * both + 4) * both * sizeof(double), &second)) return false;
+  if (!btfi_add(surplus, second, &surplus)) return false;
   const uint64_t small =
       (padded + BTFI_SLAB_GRAIN) * width * sizeof(float) + padded * sizeof(double) +
-      (SVD_SMALL * width + 4 + BTFI_MAX((uint64_t)SVD_GRAM_ROWS, width)) * width * sizeof(double) + 16 * 128;
+      (SVD_SMALL * width + 5 + BTFI_MAX((uint64_t)SVD_GRAM_ROWS, width)) * width * sizeof(double) + 16 * 128;
   return btfi_add(held, surplus, bytes) && btfi_add(*bytes, panels, bytes) && btfi_add(*bytes, small, bytes);
 }
 
 static btf_status make_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t rank, svd_plan *plan) {
   const uint64_t smaller = BTFI_MIN(desc->items, desc->length);
-  /* Columns beyond the rank speed up convergence; a loose tolerance gets by with few. */
-  const uint32_t spare = BTFI_MAX(8u, desc->tolerance < tight_tolerance ? rank / 4 : rank / 8);
+  /* Columns beyond the rank speed up convergence, and give strays room. */
+  const uint32_t spare = BTFI_MAX(8u, rank / 4);
   memset(plan, 0, sizeof *plan);
   plan->rank = rank;
   plan->width = (uint32_t)round_up(BTFI_MIN(smaller, rank + spare), BTFI_PANEL_GRAIN);
@@ -94,6 +100,9 @@ static btf_status make_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t
                      " x %" PRIu64 " values; at least %" PRIu64 " bytes are needed",
                      desc->max_working_set, rank, desc->items, desc->length, bytes);
   plan->run_items = (uint32_t)run;
+  /* The second image is worth its room where the sample keeps three quarters of it. */
+  plan->refine = true;
+  plan->refine = count_bytes(desc, plan, 0, &bytes) && bytes <= desc->max_working_set / 4;
 
   plan->held = count_bytes(desc, plan, plan->block_count, &bytes) && bytes <= desc->max_working_set;
   const uint64_t wanted =
@@ -124,6 +133,8 @@ static void end_state(svd_state *s) {
   btfi_free(s->ctx, s->projection);
   btfi_free(s->ctx, s->basis);
   btfi_free(s->ctx, s->image);
+  btfi_free(s->ctx, s->second_projection);
+  btfi_free(s->ctx, s->wide);
   btfi_free(s->ctx, s->packed_basis);
   btfi_free(s->ctx, s->packed_projection);
   btfi_free(s->ctx, s->direction);
@@ -132,6 +143,8 @@ static void end_state(svd_state *s) {
   btfi_free(s->ctx, s->rows);
   btfi_free(s->ctx, s->theta);
   s->blocks = s->window = s->projection = s->basis = s->image = NULL;
+  s->second_projection = NULL;
+  s->wide = NULL;
   s->packed_basis = s->packed_projection = s->direction = NULL;
   s->norms = s->small = s->rows = s->theta = NULL;
   s->loaded = false;
@@ -154,7 +167,13 @@ static btf_status begin_state(svd_state *s) {
       (s->small = btfi_alloc(s->ctx, SVD_SMALL * width * width, sizeof(double))) == NULL ||
       (s->rows = btfi_alloc(s->ctx, BTFI_MAX((uint64_t)SVD_GRAM_ROWS, width) * width, sizeof(double))) ==
           NULL ||
-      (s->theta = btfi_alloc(s->ctx, 4 * width, sizeof(double))) == NULL)
+      (s->theta = btfi_alloc(s->ctx, 5 * width, sizeof(double))) == NULL)
+    return btfi_alloc_status();
+  s->previous = s->theta + 4 * width;
+  const uint64_t both = 2 * width;
+  if (plan->refine && ((s->second_projection = btfi_alloc(s->ctx, s->desc->items + BTFI_SLAB_GRAIN,
+                                                          width * sizeof(float))) == NULL ||
+                       (s->wide = btfi_alloc(s->ctx, (SVD_WIDE * both + 4) * both, sizeof(double))) == NULL))
     return btfi_alloc_status();
   for (uint64_t b = 0; b < kept_blocks; b++) btfi_svd_clear_block(s, s->blocks + b * plan->block_floats);
   return BTF_OK;
@@ -162,13 +181,16 @@ static btf_status begin_state(svd_state *s) {
 
 /* ---- passes ---- */
 
-/* What a further reading would gain, from what the last half step gained. A part of a right singular vector
- * that leaks to one of value mu loses the factor mu / ritz[i] with each half step; `tail` stands for mu. */
-static double remaining_gain(const svd_state *s, double tail) {
+/* What further passes would gain, from what the last half step gained. The part of a right singular vector
+ * that leaks to one of squared value mu loses the factor mu / ritz[i] with each half step; mu is at most that
+ * of the last column that is no stray's. */
+static double remaining_gain(const svd_state *s) {
+  const uint32_t rank = BTFI_MIN(s->found, s->plan.rank);
+  const uint32_t regular = s->found > s->partial_count ? s->found - s->partial_count : 0;
   double sum = 0;
-  for (uint32_t i = 0; i < BTFI_MIN(s->found, s->plan.rank); i++) {
+  for (uint32_t i = 0; i < rank; i++) {
     const double gain = s->ritz[i] - s->ritz_before[i];
-    const double ratio = fmin(0.98, tail / s->ritz[i]);
+    const double ratio = fmin(0.98, s->ritz[BTFI_MAX(rank, regular) - 1] / s->ritz[i]);
     if (gain > 0) sum += gain * ratio / (1 - ratio);
   }
   return sum;
@@ -177,7 +199,6 @@ static double remaining_gain(const svd_state *s, double tail) {
 static btf_status converge(svd_state *s) {
   const uint64_t smaller = BTFI_MIN(s->desc->items, s->desc->length);
   const double tolerance = s->desc->tolerance, allowed = tolerance * (2 + tolerance);
-  double tail;
   if (s->plan.held) {
     for (uint64_t b = 0; b < s->plan.block_count; b++) {
       btfi_slab slab;
@@ -188,37 +209,57 @@ static btf_status converge(svd_state *s) {
   } else if (s->plan.sample_blocks > 0) {
     BTFI_TRY(btfi_svd_read_sample(s));
   }
-  BTFI_TRY(btfi_svd_start(s, &tail));
+  BTFI_TRY(btfi_svd_start(s));
   const double target = s->desc->target_residual;
   if (target > 0 && s->sample_rest > 1.05 * target && s->plan.rank < s->largest_rank) return BTF_OK;
 
-  double first = 0.2;
+  double first = 0.2, estimate = 0, missed = 0, before = 0, after = 0;
+  bool refined = true;
   for (int pass = 0; pass < SVD_MAX_PASSES; pass++) {
-    const double last = first + 0.6 * (0.98 - first);
-    double missed, captured = 0;
-    BTFI_TRY(btfi_svd_pass(s, first, last, &missed));
-    first = last;
-    bool grows = missed > 0;
-    for (uint32_t i = 0; i < BTFI_MIN(s->found, s->plan.rank); i++) {
-      captured += s->ritz[i];
-      grows |= s->ritz[i] - s->ritz_before[i] > noise * (s->ritz[i] + sqrt(s->ritz[0] * s->ritz[i]));
+    const double last = first + 0.6 * (0.98 - first), rest_before = fmax(0, s->energy - after);
+    double *previous = s->previous;
+    const uint32_t rank = s->plan.rank;
+    memcpy(previous, s->ritz, pass > 0 ? rank * sizeof(double) : 0);
+    /* A pass finds a better basis; where little is missing, the two bases together are worth more than
+     * another pass, and their images cost half of one. */
+    refined = s->plan.refine && !refined && missed <= 0.25 * allowed * rest_before &&
+              estimate <= REFINE_GAIN * allowed * rest_before;
+    if (refined) {
+      BTFI_TRY(btfi_svd_refine(s, first, last));
+    } else {
+      BTFI_TRY(btfi_svd_pass(s, first, last, &missed));
+      memcpy(previous, s->ritz_before, rank * sizeof(double));
     }
+    first = last;
+    double captured = 0, captured_before = 0;
+    bool grows = missed > 0;
+    for (uint32_t i = 0; i < BTFI_MIN(s->found, rank); i++) {
+      captured += s->ritz[i];
+      captured_before += previous[i];
+      grows |= s->ritz[i] - previous[i] > noise * (s->ritz[i] + sqrt(s->ritz[0] * s->ritz[i]));
+    }
+    const double rest = fmax(0, s->energy - captured);
+    if (refined) {
+      /* As if errors fell geometrically from one half step to the next, and twice that. */
+      const double gain = fmax(0, captured - after), gain_before = captured - before;
+      estimate = gain_before > gain ? gain * gain / gain_before : gain;
+      estimate = 2 * estimate + missed;
+    } else {
+      estimate = remaining_gain(s) + missed;
+      before = captured_before;
+    }
+    after = captured;
+    btfi_log(s->ctx, BTF_LOG_INFO, "svd: %s %d: residual %.4g of the energy, about %.2g of it to gain",
+             refined ? "refined by reading" : "pass", pass + 1, s->energy > 0 ? rest / s->energy : 0,
+             rest > 0 ? estimate / rest : 0);
     /* Nothing is beyond the panel. */
     if (s->plan.width >= smaller && pass > 0) return BTF_OK;
-    /* Until the basis has met the whole matrix, leaks go to the whole tail; later to what is next to it. */
-    const double next = s->found > 0 ? s->ritz[s->found - 1] : 0;
-    const double estimate =
-        remaining_gain(s, pass == 0 && tail >= 0 && !s->plan.held ? fmin(tail, next) : next) + missed;
-    const double rest = fmax(0, s->energy - captured);
-    btfi_log(s->ctx, BTF_LOG_INFO, "svd: pass %d: residual %.4g of the energy, about %.2g of it to gain",
-             pass + 1, s->energy > 0 ? rest / s->energy : 0, rest > 0 ? estimate / rest : 0);
     /* A basis far from singular vectors makes the columns of C nearly dependent, and float's rounding is
      * magnified in what they are separated into. */
     const double blur =
         s->found > 0 ? s->plan.width * float_rounding * float_rounding * s->spread * s->ritz[0] : 0;
     const bool clear = s->plan.sample_blocks > 0 && blur <= 0.25 * allowed * rest;
-    if ((pass > 0 || clear) && (estimate <= 0.5 * allowed * rest || !grows) && (clear || !grows))
-      return BTF_OK;
+    if ((pass > 0 || clear) && (estimate <= allowed * rest || !grows) && (clear || !grows)) return BTF_OK;
   }
   btfi_log(s->ctx, BTF_LOG_WARNING, "svd: %d readings did not reach the tolerance %g", SVD_MAX_PASSES,
            tolerance);

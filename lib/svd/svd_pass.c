@@ -142,6 +142,8 @@ btf_status btfi_svd_pass(svd_state *s, double first, double last, double *missed
                      "svd: the matrix has values that are not finite or beyond float's range");
   s->energy = energy;
   s->passes++;
+  s->partial_first = slots.first;
+  s->partial_count = slots.filled;
   BTFI_TRY(btfi_svd_ritz(s, (size_t)s->desc->items));
   BTFI_TRY(btfi_svd_next_basis(s));
   s->kept_energy = s->found >= plan->rank ? s->ritz[plan->rank - 1] : 0;
@@ -149,6 +151,20 @@ btf_status btfi_svd_pass(svd_state *s, double first, double last, double *missed
   for (uint32_t i = 0; i < s->found; i++) captured += s->ritz[i];
   s->mean_rest = fmax(0, energy - captured) / (double)s->desc->items;
   return BTF_OK;
+}
+
+btf_status btfi_svd_refine(svd_state *s, double first, double last) {
+  const svd_plan *plan = &s->plan;
+  btfi_panel_pack(s->ctx, s->basis, plan->length_padded, plan->width, s->packed_basis);
+  for (uint64_t b = 0; b < plan->block_count; b++) {
+    btfi_slab slab;
+    BTFI_TRY(btfi_svd_report(s, first + (last - first) * (double)b / (double)plan->block_count));
+    BTFI_TRY(btfi_svd_fetch(s, b, &slab));
+    BTFI_TRY(btfi_slab_project(s->ctx, &slab, s->packed_basis, plan->width,
+                               s->second_projection + b * plan->block_items * plan->width, NULL));
+  }
+  s->passes++;
+  return btfi_svd_ritz_pair(s);
 }
 
 btf_status btfi_svd_explicit_rest(svd_state *s, double first, double last, double *rest) {

@@ -13,6 +13,9 @@ static const double resolution = 1e-13;
 /* The same for columns scaled to one length, where what is kept must also agree with the image of the panel.
  */
 static const double independence = 1e-10;
+/* And for two bases side by side: where they agree to 3e-3, their difference holds more rounding than news.
+ */
+static const double novelty = 1e-5;
 
 void btfi_svd_gram(svd_state *s, const float *panel, size_t rows, double *gram) {
   const uint32_t width = s->plan.width;
@@ -30,8 +33,7 @@ void btfi_svd_gram(svd_state *s, const float *panel, size_t rows, double *gram) 
 }
 
 /* Eigenvalues, descending, and row-major eigenvectors in columns, in place. */
-static btf_status eigen(svd_state *s, double *a, uint32_t n, double *values) {
-  const uint32_t ld = s->plan.width;
+static btf_status eigen(svd_state *s, double *a, uint32_t n, uint32_t ld, double *values) {
   if (n == 0) return BTF_OK;
   /* A symmetric matrix is its own transpose: column-major calls spare LAPACKE's copies, and leave vector i in
    * row i. */
@@ -65,11 +67,10 @@ static btf_status eigen(svd_state *s, double *a, uint32_t n, double *values) {
   return BTF_OK;
 }
 
-/* map (width x *kept) such that panel * map is orthonormal, from the panel's Gram matrix (overwritten).
- * *spread is the ratio of the scaled Gram matrix's extreme eigenvalues. */
-static btf_status whitening(svd_state *s, double *gram, double *map, double *scale, double *values,
-                            double threshold, uint32_t *kept, double *spread) {
-  const uint32_t width = s->plan.width;
+/* map (width x *kept, rows of width) such that panel * map is orthonormal, from the panel's Gram matrix
+ * (overwritten). *spread is the ratio of the scaled Gram matrix's extreme eigenvalues. */
+static btf_status whitening(svd_state *s, uint32_t width, double *gram, double *map, double *scale,
+                            double *values, double threshold, uint32_t *kept, double *spread) {
   double largest = 0;
   for (uint32_t i = 0; i < width; i++) largest = fmax(largest, gram[(size_t)i * width + i]);
   if (!isfinite(largest))
@@ -82,7 +83,7 @@ static btf_status whitening(svd_state *s, double *gram, double *map, double *sca
   for (uint32_t i = 0; i < width; i++) {
     for (uint32_t j = 0; j < width; j++) gram[(size_t)i * width + j] *= scale[i] * scale[j];
   }
-  BTFI_TRY(eigen(s, gram, width, values));
+  BTFI_TRY(eigen(s, gram, width, width, values));
   *kept = 0;
   while (*kept < width && values[*kept] > threshold * values[0] && values[*kept] > 0) ++*kept;
   *spread = *kept > 0 ? values[0] / values[*kept - 1] : 1;
@@ -120,16 +121,15 @@ btf_status btfi_svd_orthonormalise(svd_state *s, float *panel, size_t rows, uint
    * again. */
   for (int round = 0; round < 3; round++) {
     btfi_svd_gram(s, panel, rows, gram);
-    BTFI_TRY(whitening(s, gram, map, scale, values, resolution, kept, &spread));
+    BTFI_TRY(whitening(s, s->plan.width, gram, map, scale, values, resolution, kept, &spread));
     btfi_svd_apply(s, panel, rows, map, *kept);
     if (spread < 30) break;
   }
   return BTF_OK;
 }
 
-/* out = a^T b a for width x width matrices, with `half` as room. */
-static void congruence(const svd_state *s, const double *a, const double *b, double *half, double *out) {
-  const int n = (int)s->plan.width;
+/* out = a^T b a for n x n matrices, with `half` as room. */
+static void congruence(int n, const double *a, const double *b, double *half, double *out) {
   cblas_dgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, n, n, n, 1, b, n, a, n, 0, half, n);
   cblas_dgemm(CblasRowMajor, CblasTrans, CblasNoTrans, n, n, n, 1, a, n, half, n, 0, out, n);
 }
@@ -149,13 +149,13 @@ btf_status btfi_svd_ritz(svd_state *s, size_t rows) {
 
   btfi_svd_gram(s, s->projection, rows, gram);
   memcpy(half, gram, matrix * sizeof(double));
-  BTFI_TRY(whitening(s, gram, whiten, scale, values, independence, &kept, &s->spread));
-  BTFI_TRY(eigen(s, half, width, s->ritz_before));
+  BTFI_TRY(whitening(s, s->plan.width, gram, whiten, scale, values, independence, &kept, &s->spread));
+  BTFI_TRY(eigen(s, half, width, width, s->ritz_before));
 
   btfi_svd_gram(s, s->image, s->plan.length_padded, gram_image);
-  congruence(s, whiten, gram_image, half, inner);
+  congruence((int)width, whiten, gram_image, half, inner);
   memset(s->ritz, 0, width * sizeof(double));
-  BTFI_TRY(eigen(s, inner, kept, s->ritz));
+  BTFI_TRY(eigen(s, inner, kept, width, s->ritz));
   s->found = 0;
   while (s->found < kept && s->ritz[s->found] > resolution * s->ritz[0] && s->ritz[s->found] > 0) s->found++;
 
@@ -190,4 +190,89 @@ btf_status btfi_svd_straighten(svd_state *s, float *panel, size_t rows, uint32_t
   }
   btfi_svd_apply(s, panel, rows, gram, columns);
   return BTF_OK;
+}
+
+/* The corner of `gram` (twice the width) that starts at (row, column) = a^T b in double. */
+static void corner(svd_state *s, const float *a, const float *b, size_t rows, double *gram, size_t row,
+                   size_t column) {
+  const size_t width = s->plan.width, half = SVD_GRAM_ROWS / 2;
+  double *left = s->rows, *right = s->rows + half * width;
+  double *out = gram + row * 2 * width + column;
+  for (size_t i = 0; i < width; i++) memset(out + i * 2 * width, 0, width * sizeof(double));
+  for (size_t first = 0; first < rows; first += half) {
+    const size_t count = BTFI_MIN(half, rows - first);
+    for (size_t k = 0; k < count * width; k++) {
+      left[k] = a[first * width + k];
+      right[k] = b[first * width + k];
+    }
+    cblas_dgemm(CblasRowMajor, CblasTrans, CblasNoTrans, (int)width, (int)width, (int)count, 1, left,
+                (int)width, right, (int)width, 1, out, 2 * (int)width);
+  }
+}
+
+static void pair_gram(svd_state *s, const float *a, const float *b, size_t rows, double *gram) {
+  const size_t width = s->plan.width, both = 2 * width;
+  corner(s, a, a, rows, gram, 0, 0);
+  corner(s, a, b, rows, gram, 0, width);
+  corner(s, b, b, rows, gram, width, width);
+  for (size_t i = 0; i < both; i++) {
+    const bool partial = i >= width + s->partial_first && i < width + s->partial_first + s->partial_count;
+    for (size_t j = i; j < both; j++) {
+      const bool other = j >= width + s->partial_first && j < width + s->partial_first + s->partial_count;
+      /* Columns of C that miss some items are no image of theirs. */
+      if (partial || other) gram[i * both + j] = 0;
+      gram[j * both + i] = gram[i * both + j];
+    }
+  }
+}
+
+/* a = a * map + b * (map + width * width) by rows. */
+static void combine(svd_state *s, float *a, const float *b, size_t rows, const float *map) {
+  const size_t width = s->plan.width;
+  float *chunk = (float *)s->rows;
+  for (size_t first = 0; first < rows; first += SVD_GRAM_ROWS) {
+    const int count = (int)BTFI_MIN((size_t)SVD_GRAM_ROWS, rows - first), n = (int)width;
+    memcpy(chunk, a + first * width, (size_t)count * width * sizeof(float));
+    cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, count, n, n, 1, chunk, n, map, n, 0,
+                a + first * width, n);
+    cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, count, n, n, 1, b + first * width, n,
+                map + width * width, n, 1, a + first * width, n);
+  }
+}
+
+btf_status btfi_svd_ritz_pair(svd_state *s) {
+  const uint32_t width = s->plan.width, both = 2 * width;
+  const size_t matrix = (size_t)both * both, items = (size_t)s->desc->items;
+  double *gram = s->wide, *whiten = gram + matrix, *image = whiten + matrix, *half = image + matrix;
+  double *inner = half + matrix, *scale = inner + matrix, *values = scale + both, *ritz = values + both;
+  uint32_t kept;
+  pair_gram(s, s->basis, s->image, s->plan.length_padded, gram);
+  BTFI_TRY(whitening(s, both, gram, whiten, scale, values, novelty, &kept, &s->spread));
+  pair_gram(s, s->second_projection, s->projection, items, image);
+  congruence((int)both, whiten, image, half, inner);
+  BTFI_TRY(eigen(s, inner, kept, both, ritz));
+
+  s->found = 0;
+  while (s->found < BTFI_MIN(kept, width) && ritz[s->found] > resolution * ritz[0] && ritz[s->found] > 0)
+    s->found++;
+  memset(s->ritz, 0, width * sizeof(double));
+  memset(s->left, 0, (size_t)width * width * sizeof(double));
+  if (s->found == 0) return BTF_OK;
+  cblas_dgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, (int)both, (int)s->found, (int)kept, 1, whiten,
+              (int)both, inner, (int)both, 0, half, (int)both);
+  float *map = (float *)gram;
+  for (size_t i = 0; i < both; i++) {
+    for (size_t j = 0; j < width; j++) map[i * width + j] = j < s->found ? (float)half[i * both + j] : 0;
+  }
+  /* The new C is the image of the new basis: its columns are orthogonal, as long as the singular values. */
+  combine(s, s->second_projection, s->projection, items, map);
+  float *swap = s->projection;
+  s->projection = s->second_projection;
+  s->second_projection = swap;
+  combine(s, s->basis, s->image, s->plan.length_padded, map);
+  for (uint32_t k = 0; k < s->found; k++) {
+    s->ritz[k] = ritz[k];
+    s->left[(size_t)k * width + k] = 1 / sqrt(ritz[k]);
+  }
+  return btfi_svd_straighten(s, s->basis, s->plan.length_padded, s->found);
 }

@@ -6,7 +6,7 @@
 
 #include "svd/svd_state.h"
 
-enum { SAMPLE_ROUNDS = 8, COARSE = 4, PROBES = 96 };
+enum { SAMPLE_ROUNDS = 8, COARSE = 4 };
 
 static uint64_t sample_block(const svd_state *s, uint64_t b) {
   return s->plan.held ? b * s->plan.block_count / s->plan.sample_blocks : b;
@@ -74,48 +74,10 @@ static btf_status sample_round(svd_state *s, uint64_t step, double *energy) {
   return btfi_svd_next_basis(s);
 }
 
-/* The squared singular values beyond the basis, averaged with themselves as weights: among residuals r of
- * items, E (r_a . r_b)^2 = sum lambda^2 / items^2 and E |r|^2 = sum lambda / items. */
-static double tail_value(svd_state *s) {
-  const svd_plan *plan = &s->plan;
-  const size_t length = plan->length_padded;
-  uint64_t items = 0;
-  for (uint64_t b = 0; b < plan->sample_blocks; b++) items += sample_block_size(s, b);
-  const size_t room = plan->block_floats / length;
-  const size_t probes =
-      (size_t)BTFI_MIN(BTFI_MIN((uint64_t)PROBES, items / 4), BTFI_MIN(room, plan->block_items));
-  if (probes < 8) return -1;
-
-  float *residuals = s->window, *products = s->packed_projection, *squares = (float *)s->rows;
-  for (size_t p = 0; p < probes; p++) {
-    uint64_t item = items * p / probes, block = 0;
-    while (item >= sample_block_size(s, block)) item -= sample_block_size(s, block++);
-    const btfi_slab slab = btfi_svd_slab(s, sample_data(s, block), sample_block_size(s, block));
-    for (size_t j = 0; j < length; j++)
-      residuals[p * length + j] = slab.data[item * slab.item_step + j * slab.element_step];
-  }
-  const int n = (int)probes, columns = (int)length, width = (int)plan->width;
-  cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, n, width, columns, 1, residuals, columns, s->basis,
-              width, 0, products, width);
-  cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, n, columns, width, -1, products, width, s->basis,
-              width, 1, residuals, columns);
-  cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, n, n, columns, 1, residuals, columns, residuals,
-              columns, 0, squares, n);
-  double diagonal = 0, others = 0;
-  for (size_t a = 0; a < probes; a++) {
-    diagonal += squares[a * probes + a];
-    for (size_t b = 0; b < a; b++) others += (double)squares[a * probes + b] * squares[a * probes + b];
-  }
-  diagonal /= (double)probes;
-  others /= 0.5 * (double)probes * (double)(probes - 1);
-  return diagonal > 0 ? (double)s->desc->items * others / diagonal : 0;
-}
-
-btf_status btfi_svd_start(svd_state *s, double *tail) {
+btf_status btfi_svd_start(svd_state *s) {
   const svd_plan *plan = &s->plan;
   const uint64_t smaller = BTFI_MIN(s->desc->items, s->desc->length);
   uint32_t kept;
-  *tail = -1;
   s->kept_energy = 0;
   s->mean_rest = 0;
   random_panel(s, s->basis);
@@ -153,8 +115,6 @@ btf_status btfi_svd_start(svd_state *s, double *tail) {
   for (uint32_t i = 0; i < s->found; i++) within += s->ritz[i];
   s->mean_rest = fmax(0, energy - within) / (double)items;
 
-  *tail = tail_value(s);
-  btfi_svd_clear_block(s, s->window);
   /* A sample poorer than the matrix may be leaves columns free: they take random directions. */
   for (uint32_t c = s->found; c < BTFI_MIN(plan->width, smaller); c++) {
     for (size_t j = 0; j < plan->length_padded; j++)

@@ -16,6 +16,7 @@ typedef struct svd_plan {
   uint32_t run_items;     /* items read at once for the sample */
   uint64_t sample_blocks; /* blocks of the sample; of the whole matrix when it is held */
   bool held;              /* the whole matrix stays in memory after the first reading */
+  bool refine;            /* there is room for the images of two bases */
   uint64_t bytes;         /* all of it, beside the result */
 } svd_plan;
 
@@ -28,24 +29,28 @@ typedef struct svd_state {
   svd_plan plan;
   uint32_t largest_rank; /* wanted, as far as the matrix can have it */
 
-  float *blocks;     /* the held matrix or the sample */
-  float *window;     /* the block last read, unless the matrix is held */
-  bool loaded;       /* the held matrix has been read */
-  float *projection; /* (items + padding) x width: C */
-  float *basis;      /* length_padded x width: P, orthonormal columns */
-  float *image;      /* length_padded x width: Y */
+  float *blocks;            /* the held matrix or the sample */
+  float *window;            /* the block last read, unless the matrix is held */
+  bool loaded;              /* the held matrix has been read */
+  float *projection;        /* (items + padding) x width: C */
+  float *basis;             /* length_padded x width: P, orthonormal columns */
+  float *image;             /* length_padded x width: Y */
+  float *second_projection; /* like projection, where the plan refines */
   float *packed_basis, *packed_projection;
   float *direction; /* length_padded */
   double *norms;    /* squared norm of each item of the block at hand */
   double *small;    /* SVD_SMALL matrices of width x width */
+  double *wide;     /* SVD_WIDE matrices of twice the width, and four rows of it; where the plan refines */
   double *rows;     /* max(SVD_GRAM_ROWS, width) x width */
-  double *theta;    /* 4 x width */
+  double *theta;    /* 5 x width */
+  double *previous; /* the last part of it: Ritz values before the step at hand */
 
   double energy;
   double kept_energy; /* squared singular value number `rank`, as far as known before the pass */
   double sample_rest; /* squared residual that the sample promises at `rank`; 0 without a sample */
   double mean_rest;   /* squared distance of an item from the basis, on average, as far as known */
   uint32_t passes;
+  uint32_t partial_first, partial_count; /* columns of C that strays took up on the way */
 
   /* Outcome of the last Rayleigh-Ritz step. */
   uint32_t found;       /* Ritz values above rounding */
@@ -58,6 +63,7 @@ typedef struct svd_state {
 enum {
   SVD_GRAM_ROWS = 512, /* rows taken at once where a panel is met in double */
   SVD_SMALL = 8,
+  SVD_WIDE = 5,
   SVD_MAX_PASSES = 40
 };
 
@@ -85,14 +91,16 @@ void btfi_svd_apply(svd_state *s, float *panel, size_t rows, const double *map, 
 /* Ritz values and maps from C in `projection` (rows of it) and Y = M^T C in `image`. */
 btf_status btfi_svd_ritz(svd_state *s, size_t rows);
 
+/* Ritz values in the span of the basis and of the one before it (left in `image`), from the images of both in
+ * `second_projection` and `projection`. The best become the basis. */
+btf_status btfi_svd_ritz_pair(svd_state *s);
 /* Makes columns that are nearly orthonormal, strongest first, so to rounding. */
 btf_status btfi_svd_straighten(svd_state *s, float *panel, size_t rows, uint32_t columns);
 
 /* ---- svd_start.c ---- */
 
-/* Finds a basis from the sample, or a random one without a sample. *tail_ratio is the mean squared singular
- * value beyond the basis weighted by itself, in proportion to the matrix; negative if unknown. */
-btf_status btfi_svd_start(svd_state *s, double *tail_value);
+/* Finds a basis from the sample, or a random one without a sample. */
+btf_status btfi_svd_start(svd_state *s);
 /* Makes `direction` (length_padded floats) orthogonal to the basis and of length 1, and puts it in column
  * `slot`. False if nothing is left of it. */
 bool btfi_svd_set_direction(svd_state *s, float *direction, uint32_t slot);
@@ -102,6 +110,8 @@ bool btfi_svd_set_direction(svd_state *s, float *direction, uint32_t slot);
 /* One reading of the matrix: C = M P with strays taken up, Y = M^T C, Ritz values, and the next basis.
  * *missed is the energy of strays that found no column. Progress goes from first to last, within 0..1. */
 btf_status btfi_svd_pass(svd_state *s, double first, double last, double *missed);
+/* One reading after a pass: the image of the new basis, and Ritz values in both bases together. */
+btf_status btfi_svd_refine(svd_state *s, double first, double last);
 /* Squared residual of projecting the items on the basis, summed from the differences themselves. */
 btf_status btfi_svd_explicit_rest(svd_state *s, double first, double last, double *rest);
 /* Packs rows row .. row + items - 1 of C for the product with a slab. */
