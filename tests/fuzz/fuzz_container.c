@@ -132,6 +132,30 @@ static void copy(btf_context *ctx, const btf_file *file) {
   btf_file_close(again);
 }
 
+/* What is told without a codec. */
+static void ask(const btf_file *file) {
+  const uint32_t models = btf_file_model_count(file), texts = btf_file_metadata_count(file);
+  for (uint32_t i = 0; i < models; i++) {
+    btf_model_info info = BTF_MODEL_INFO_INIT;
+    fuzz_expect(btf_file_describe_model(file, i, &info) == BTF_OK);
+    fuzz_expect(strcmp(info.codec_id, btf_file_model_codec(file, i)) == 0);
+    fuzz_expect(info.channels >= 1 && info.channels <= 64 && info.width >= 1 && info.height >= 1);
+    for (uint32_t c = 0; c < info.channels; c++) fuzz_expect(memchr(info.channel_names[c], 0, 65536) != NULL);
+    fuzz_expect(btf_dirset_count(info.lights) >= 1 && btf_dirset_count(info.views) >= 1);
+    fuzz_expect(isfinite(info.texels_per_mm));
+  }
+  fuzz_expect(btf_file_model_codec(file, models) == NULL);
+  for (uint32_t i = 0; i < texts; i++) {
+    const char *key, *value;
+    fuzz_expect(btf_file_metadata_at(file, i, &key, &value) == BTF_OK);
+    fuzz_expect(btf_file_metadata(file, key) == value);
+  }
+  for (uint32_t i = 0; i < btf_file_chunk_count(file); i++) {
+    btf_chunk_info chunk = {.struct_size = sizeof chunk};
+    fuzz_expect(btf_file_chunk(file, i, &chunk) == BTF_OK);
+  }
+}
+
 static void use(btf_context *ctx, const uint8_t *data, size_t size, uint32_t flags, int mapped) {
   btf_io io = BTF_IO_INIT;
   btf_file *file;
@@ -143,6 +167,7 @@ static void use(btf_context *ctx, const uint8_t *data, size_t size, uint32_t fla
     fuzz_expect(refusal(status) && file == NULL);
     return;
   }
+  ask(file);
   valid = btf_file_validate(file, NULL, NULL);
   fuzz_expect(valid == BTF_OK || refusal(valid));
   for (uint32_t i = 0; i < btf_file_model_count(file) && i < 8; i++) {
