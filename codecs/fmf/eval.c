@@ -32,6 +32,7 @@ void btfi_fmf_state_ready(btfi_fmf_state *state, const btf_host *host, btf_conte
   state->wrap = shape->wrap;
   state->blend = kernels->blend[layout->storage];
   state->project = kernels->project[layout->storage];
+  state->sample = kernels->sample[layout->storage];
   state->dot = kernels->dot;
   state->channel_bytes = (uint64_t)layout->stride * btfi_fmf_value_bytes(layout->storage);
   state->can_keep = (uint64_t)layout->channels * layout->padded <= SCRATCH;
@@ -116,7 +117,19 @@ static void prefetch_rows(const btfi_fmf_rows *rows, uint64_t bytes) {
   for (uint32_t i = 0; i < rows->count; i++) prefetch_row(rows->row[i], bytes);
 }
 
+static bool is_sample(const taps *t) {
+  return t->u.count == 1 && t->v.count == 1 && t->u.weight[0] == 1.0f && t->v.weight[0] == 1.0f;
+}
+
+static void evaluate_sample(const btfi_fmf_state *s, const taps *t, float *out) {
+  s->sample(t->u.row[0], s->channel_bytes, s->layout.channels, t->v.row[0], s->layout.padded, s->scale, out);
+}
+
 static void evaluate(const btfi_fmf_state *s, const taps *t, float *out) {
+  if (is_sample(t)) {
+    evaluate_sample(s, t, out);
+    return;
+  }
   _Alignas(64) float v[FMF_MAX_COLUMNS];
   s->blend(&t->v, s->layout.padded, s->scale, v);
   s->project(&t->u, s->channel_bytes, s->layout.channels, v, s->layout.padded, NULL, out);
@@ -242,6 +255,11 @@ void btfi_fmf_eval_n(const void *state, const btf_batch *batch, float *const *ou
   for (size_t q = 0; q < batch->count; q++) {
     const taps *t = &ring[q % RING];
     for (; tapped < batch->count && tapped <= q + PREFETCH_AHEAD; tapped++) tap_query(&front, tapped, ring);
+    if (batch->flags & BTF_QUERY_NEAREST) {
+      evaluate_sample(s, t, values);
+      for (uint32_t c = 0; c < channels; c++) out[c][q] = values[c];
+      continue;
+    }
     s->blend(&t->v, padded, s->scale, v);
     if (t->same_u && s->can_keep) {
       s->dot(kept, channels, v, padded, values);

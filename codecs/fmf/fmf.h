@@ -77,12 +77,16 @@ typedef void (*btfi_fmf_blend_fn)(const btfi_fmf_rows *v, uint32_t padded, const
  * as well, `padded` values per channel. Channels are channel_bytes apart. */
 typedef void (*btfi_fmf_project_fn)(const btfi_fmf_rows *u, uint64_t channel_bytes, uint32_t channels,
                                     const float *v, uint32_t padded, float *keep, float *out);
-/* The same from rows that were kept. */
+/* What both make of one row each. */
+typedef void (*btfi_fmf_sample_fn)(const unsigned char *u, uint64_t channel_bytes, uint32_t channels,
+                                   const unsigned char *v, uint32_t padded, const float *scale, float *out);
+/* The same as project from rows that were kept. */
 typedef void (*btfi_fmf_dot_fn)(const float *kept, uint32_t channels, const float *v, uint32_t padded,
                                 float *out);
 typedef struct btfi_fmf_kernels {
   btfi_fmf_blend_fn blend[FMF_STORAGES];
   btfi_fmf_project_fn project[FMF_STORAGES];
+  btfi_fmf_sample_fn sample[FMF_STORAGES];
   btfi_fmf_dot_fn dot;
   void (*permute)(uint32_t storage, uint32_t padded, const float *natural, float *out);
 } btfi_fmf_kernels;
@@ -244,6 +248,7 @@ typedef struct btfi_fmf_state {
   const btf_dirset *light_set, *view_set;
   btfi_fmf_blend_fn blend;
   btfi_fmf_project_fn project;
+  btfi_fmf_sample_fn sample;
   btfi_fmf_dot_fn dot;
   const unsigned char *u;
   const unsigned char *v[FMF_MAX_LEVELS];

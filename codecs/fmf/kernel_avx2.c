@@ -9,6 +9,7 @@
 #define TARGET __attribute__((target("avx2,fma,f16c")))
 #define VECTOR __m256
 #define LANES 8
+#define REGISTERS 16
 #define ZERO _mm256_setzero_ps()
 #define SET1(x) _mm256_set1_ps(x)
 #define ADD(a, b) _mm256_add_ps((a), (b))

@@ -9,6 +9,7 @@
 #define TARGET __attribute__((target("avx512f,avx512bw,avx512vl,avx512dq,avx2,fma,f16c")))
 #define VECTOR __m512
 #define LANES 16
+#define REGISTERS 32
 #define ZERO _mm512_setzero_ps()
 #define SET1(x) _mm512_set1_ps(x)
 #define ADD(a, b) _mm512_add_ps((a), (b))

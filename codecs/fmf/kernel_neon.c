@@ -9,6 +9,7 @@
 #define TARGET
 #define VECTOR float32x4_t
 #define LANES 4
+#define REGISTERS 32
 #define ZERO vdupq_n_f32(0.0f)
 #define SET1(x) vdupq_n_f32(x)
 #define ADD(a, b) vaddq_f32((a), (b))

@@ -56,6 +56,14 @@ static float read_q8(const unsigned char *row, uint32_t i) {
       }                                                                                                      \
       out[channel] = sum;                                                                                    \
     }                                                                                                        \
+  }                                                                                                          \
+  static void sample_##storage(const unsigned char *u, uint64_t channel_bytes, uint32_t channels,            \
+                               const unsigned char *v, uint32_t padded, const float *scale, float *out) {    \
+    for (uint32_t channel = 0; channel < channels; channel++, u += channel_bytes) {                          \
+      out[channel] = 0.0f;                                                                                   \
+      for (uint32_t i = 0; i < padded; i++)                                                                  \
+        out[channel] += read_##storage(u, i) * (read_##storage(v, i) * scale[i]);                            \
+    }                                                                                                        \
   }
 DEFINE_KERNELS(f32)
 DEFINE_KERNELS(f16)
@@ -77,6 +85,7 @@ static void permute(uint32_t storage, uint32_t padded, const float *natural, flo
 
 const btfi_fmf_kernels btfi_fmf_scalar = {{blend_f32, blend_f16, blend_bf16, blend_q8},
                                           {project_f32, project_f16, project_bf16, project_q8},
+                                          {sample_f32, sample_f16, sample_bf16, sample_q8},
                                           dot,
                                           permute};
 

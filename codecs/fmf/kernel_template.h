@@ -1,14 +1,16 @@
 /* SPDX-License-Identifier: MIT */
 /* kernel_template.h: the vector kernels of one instruction set, included once for each. The including file
- * defines NAME(x)         name of a function or table of this instruction set TARGET          function
- * attribute that enables its instructions VECTOR, LANES   a vector of floats, and its length: 4, 8 or 16
- *   ZERO, SET1, ADD, MUL, LOAD, STORE, and FMA(a, b, c) = a * b + c
- *   READ_F16, READ_BF16, READ_Q8   LANES values at a byte address as floats
- *   WORDS, LOAD_WORDS, LOW_BF16, HIGH_BF16   LANES 32-bit words, and their low and high halves as floats
- *   SUM4(a, b, c, d, out)          sums over the lanes of four vectors to out[0 .. 3]
+ * defines
+ * - NAME(x): name of a function or table of this instruction set;
+ * - TARGET: function attribute that enables its instructions;
+ * - VECTOR, LANES, REGISTERS: a vector of floats, its length (4, 8 or 16), how many there are;
+ * - ZERO, SET1, ADD, MUL, LOAD, STORE, and FMA(a, b, c) = a * b + c;
+ * - READ_F16, READ_BF16, READ_Q8: LANES values at a byte address as floats;
+ * - WORDS, LOAD_WORDS, LOW_BF16, HIGH_BF16: LANES 32-bit words, their low and high halves as floats;
+ * - SUM4(a, b, c, d, out): sums over the lanes of four vectors to out[0 .. 3].
  *
- * Values of a row are taken four vectors at a time, then two, then one. A pair of vectors of bf16 is one
- * vector of words, split into its even and its odd values: two instructions for twice LANES values. */
+ * Values of a row are taken two vectors at a time, then one. A pair of vectors of bf16 is one vector of
+ * words, split into its even and its odd values: two instructions for twice LANES values. */
 
 #define INLINE static inline __attribute__((always_inline)) TARGET
 
@@ -95,57 +97,170 @@
     }                                                                                                        \
   }
 
+/* The dot product of one channel, its sum over the lanes still to be made. */
+#define DEFINE_CHANNEL(storage, size)                                                                        \
+  INLINE VECTOR NAME(channel_of_##storage)(const btfi_fmf_rows *rows, const uint32_t count, uint64_t at,     \
+                                           const float *v, uint32_t padded, float *restrict keep) {          \
+    enum { pair = 2 * LANES * (size) };                                                                      \
+    WEIGHTS(rows);                                                                                           \
+    VECTOR d0 = ZERO, d1 = ZERO;                                                                             \
+    uint32_t i = 0;                                                                                          \
+    for (; i + 2 * LANES <= padded; i += 2 * LANES, at += pair) {                                            \
+      BLEND2(storage)                                                                                        \
+      if (keep != NULL) {                                                                                    \
+        STORE(keep + i, s0);                                                                                 \
+        STORE(keep + i + LANES, s1);                                                                         \
+      }                                                                                                      \
+      d0 = FMA(s0, LOAD(v + i), d0);                                                                         \
+      d1 = FMA(s1, LOAD(v + i + LANES), d1);                                                                 \
+    }                                                                                                        \
+    if (i < padded) {                                                                                        \
+      BLEND1(storage)                                                                                        \
+      if (keep != NULL) STORE(keep + i, s0);                                                                 \
+      d0 = FMA(s0, LOAD(v + i), d0);                                                                         \
+    }                                                                                                        \
+    return ADD(d0, d1);                                                                                      \
+  }
+
+/* Three channels side by side, each as above: independent chains of additions, and rows are addressed once.
+ */
+#define ROW2_OF_3(storage, r)                                                                                \
+  if (count > r) {                                                                                           \
+    const unsigned char *row = rows->row[r] + at;                                                            \
+    READ2_##storage(row, x0, x1);                                                                            \
+    READ2_##storage(row + channel_bytes, y0, y1);                                                            \
+    READ2_##storage(row + 2 * channel_bytes, z0, z1);                                                        \
+    s0 = FMA(w##r, x0, s0);                                                                                  \
+    s1 = FMA(w##r, x1, s1);                                                                                  \
+    t0 = FMA(w##r, y0, t0);                                                                                  \
+    t1 = FMA(w##r, y1, t1);                                                                                  \
+    u0 = FMA(w##r, z0, u0);                                                                                  \
+    u1 = FMA(w##r, z1, u1);                                                                                  \
+  }
+#define ROW1_OF_3(storage, r)                                                                                \
+  if (count > r) {                                                                                           \
+    const unsigned char *row = rows->row[r] + at;                                                            \
+    s0 = FMA(w##r, READ1_##storage(row), s0);                                                                \
+    t0 = FMA(w##r, READ1_##storage(row + channel_bytes), t0);                                                \
+    u0 = FMA(w##r, READ1_##storage(row + 2 * channel_bytes), u0);                                            \
+  }
+#define DEFINE_THREE(storage, size)                                                                          \
+  INLINE void NAME(three_of_##storage)(const btfi_fmf_rows *rows, const uint32_t count, uint64_t at,         \
+                                       uint64_t channel_bytes, const float *v, uint32_t padded,              \
+                                       float *restrict keep, VECTOR *sum) {                                  \
+    enum { pair = 2 * LANES * (size) };                                                                      \
+    WEIGHTS(rows);                                                                                           \
+    VECTOR d0 = ZERO, d1 = ZERO, e0 = ZERO, e1 = ZERO, f0 = ZERO, f1 = ZERO;                                 \
+    uint32_t i = 0;                                                                                          \
+    for (; i + 2 * LANES <= padded; i += 2 * LANES, at += pair) {                                            \
+      const unsigned char *first = rows->row[0] + at;                                                        \
+      READ2_##storage(first, a0, a1);                                                                        \
+      READ2_##storage(first + channel_bytes, b0, b1);                                                        \
+      READ2_##storage(first + 2 * channel_bytes, c0, c1);                                                    \
+      VECTOR s0 = MUL(w0, a0), s1 = MUL(w0, a1), t0 = MUL(w0, b0), t1 = MUL(w0, b1), u0 = MUL(w0, c0),       \
+             u1 = MUL(w0, c1);                                                                               \
+      EACH_ROW(ROW2_OF_3, storage)                                                                           \
+      if (keep != NULL) {                                                                                    \
+        STORE(keep + i, s0);                                                                                 \
+        STORE(keep + i + LANES, s1);                                                                         \
+        STORE(keep + padded + i, t0);                                                                        \
+        STORE(keep + padded + i + LANES, t1);                                                                \
+        STORE(keep + 2 * padded + i, u0);                                                                    \
+        STORE(keep + 2 * padded + i + LANES, u1);                                                            \
+      }                                                                                                      \
+      const VECTOR v0 = LOAD(v + i), v1 = LOAD(v + i + LANES);                                               \
+      d0 = FMA(s0, v0, d0);                                                                                  \
+      d1 = FMA(s1, v1, d1);                                                                                  \
+      e0 = FMA(t0, v0, e0);                                                                                  \
+      e1 = FMA(t1, v1, e1);                                                                                  \
+      f0 = FMA(u0, v0, f0);                                                                                  \
+      f1 = FMA(u1, v1, f1);                                                                                  \
+    }                                                                                                        \
+    if (i < padded) {                                                                                        \
+      const unsigned char *first = rows->row[0] + at;                                                        \
+      VECTOR s0 = MUL(w0, READ1_##storage(first)), t0 = MUL(w0, READ1_##storage(first + channel_bytes)),     \
+             u0 = MUL(w0, READ1_##storage(first + 2 * channel_bytes));                                       \
+      EACH_ROW(ROW1_OF_3, storage)                                                                           \
+      if (keep != NULL) {                                                                                    \
+        STORE(keep + i, s0);                                                                                 \
+        STORE(keep + padded + i, t0);                                                                        \
+        STORE(keep + 2 * padded + i, u0);                                                                    \
+      }                                                                                                      \
+      const VECTOR v0 = LOAD(v + i);                                                                         \
+      d0 = FMA(s0, v0, d0);                                                                                  \
+      e0 = FMA(t0, v0, e0);                                                                                  \
+      f0 = FMA(u0, v0, f0);                                                                                  \
+    }                                                                                                        \
+    sum[0] = ADD(d0, d1);                                                                                    \
+    sum[1] = ADD(e0, e1);                                                                                    \
+    sum[2] = ADD(f0, f1);                                                                                    \
+  }
+
 /* Sums over the lanes are made for four channels together, in one way whatever their number. */
 #define DEFINE_PROJECT(storage, size)                                                                        \
+  DEFINE_CHANNEL(storage, size)                                                                              \
+  DEFINE_THREE(storage, size)                                                                                \
   INLINE void NAME(project_of_##storage)(const btfi_fmf_rows *rows, const uint32_t count,                    \
                                          uint64_t channel_bytes, uint32_t channels, const float *v,          \
                                          uint32_t padded, float *keep, float *out) {                         \
-    enum { pair = 2 * LANES * (size) };                                                                      \
-    uint64_t start = 0;                                                                                      \
-    WEIGHTS(rows);                                                                                           \
+    uint64_t at = 0;                                                                                         \
     for (uint32_t first = 0; first < channels; first += 4) {                                                 \
       const uint32_t many = channels - first < 4 ? channels - first : 4;                                     \
       VECTOR sum[4] = {ZERO, ZERO, ZERO, ZERO};                                                              \
       float totals[4];                                                                                       \
-      for (uint32_t c = 0; c < many; c++, start += channel_bytes) {                                          \
-        VECTOR d0 = ZERO, d1 = ZERO, d2 = ZERO, d3 = ZERO;                                                   \
-        uint64_t at = start;                                                                                 \
-        uint32_t i = 0;                                                                                      \
-        for (; i + 4 * LANES <= padded; i += 4 * LANES, at += 2 * pair) {                                    \
-          BLEND4(storage)                                                                                    \
-          if (keep != NULL) {                                                                                \
-            STORE(keep + i, s0);                                                                             \
-            STORE(keep + i + LANES, s1);                                                                     \
-            STORE(keep + i + 2 * LANES, s2);                                                                 \
-            STORE(keep + i + 3 * LANES, s3);                                                                 \
-          }                                                                                                  \
-          d0 = FMA(s0, LOAD(v + i), d0);                                                                     \
-          d1 = FMA(s1, LOAD(v + i + LANES), d1);                                                             \
-          d2 = FMA(s2, LOAD(v + i + 2 * LANES), d2);                                                         \
-          d3 = FMA(s3, LOAD(v + i + 3 * LANES), d3);                                                         \
+      if (REGISTERS >= 32 && many == 3) {                                                                    \
+        NAME(three_of_##storage)(rows, count, at, channel_bytes, v, padded, keep, sum);                      \
+      } else {                                                                                               \
+        for (uint32_t c = 0; c < many; c++, at += channel_bytes) {                                           \
+          sum[c] = NAME(channel_of_##storage)(rows, count, at, v, padded, keep);                             \
+          if (keep != NULL) keep += padded;                                                                  \
         }                                                                                                    \
-        if (i + 2 * LANES <= padded) {                                                                       \
-          BLEND2(storage)                                                                                    \
-          if (keep != NULL) {                                                                                \
-            STORE(keep + i, s0);                                                                             \
-            STORE(keep + i + LANES, s1);                                                                     \
-          }                                                                                                  \
-          d0 = FMA(s0, LOAD(v + i), d0);                                                                     \
-          d1 = FMA(s1, LOAD(v + i + LANES), d1);                                                             \
-          i += 2 * LANES;                                                                                    \
-          at += pair;                                                                                        \
-        }                                                                                                    \
-        if (i < padded) {                                                                                    \
-          BLEND1(storage)                                                                                    \
-          if (keep != NULL) STORE(keep + i, s0);                                                             \
-          d2 = FMA(s0, LOAD(v + i), d2);                                                                     \
-        }                                                                                                    \
-        if (keep != NULL) keep += padded;                                                                    \
-        sum[c] = ADD(ADD(d0, d1), ADD(d2, d3));                                                              \
       }                                                                                                      \
       SUM4(sum[0], sum[1], sum[2], sum[3], totals);                                                          \
       for (uint32_t c = 0; c < many; c++) out[first + c] = totals[c];                                        \
     }                                                                                                        \
+  }
+
+/* One row of each: what blend and project make of rows of weight 1, without the way through memory. */
+#define DEFINE_SAMPLE(storage, size)                                                                         \
+  INLINE void NAME(sample_of_##storage)(const unsigned char *u, uint64_t channel_bytes, const uint32_t many, \
+                                        const unsigned char *v, uint32_t padded, const float *scale,         \
+                                        float *totals) {                                                     \
+    enum { pair = 2 * LANES * (size) };                                                                      \
+    VECTOR even[4] = {ZERO, ZERO, ZERO, ZERO}, odd[4] = {ZERO, ZERO, ZERO, ZERO};                            \
+    uint32_t i = 0;                                                                                          \
+    for (; i + 2 * LANES <= padded; i += 2 * LANES, u += pair, v += pair) {                                  \
+      READ2_##storage(v, x0, x1);                                                                            \
+      const VECTOR v0 = MUL(x0, LOAD(scale + i)), v1 = MUL(x1, LOAD(scale + i + LANES));                     \
+      for (uint32_t c = 0; c < many; c++) {                                                                  \
+        READ2_##storage(u + c * channel_bytes, y0, y1);                                                      \
+        even[c] = FMA(y0, v0, even[c]);                                                                      \
+        odd[c] = FMA(y1, v1, odd[c]);                                                                        \
+      }                                                                                                      \
+    }                                                                                                        \
+    if (i < padded) {                                                                                        \
+      const VECTOR v0 = MUL(READ1_##storage(v), LOAD(scale + i));                                            \
+      for (uint32_t c = 0; c < many; c++)                                                                    \
+        even[c] = FMA(READ1_##storage(u + c * channel_bytes), v0, even[c]);                                  \
+    }                                                                                                        \
+    SUM4(ADD(even[0], odd[0]), ADD(even[1], odd[1]), ADD(even[2], odd[2]), ADD(even[3], odd[3]), totals);    \
+  }                                                                                                          \
+  TARGET static void NAME(sample_##storage)(const unsigned char *u, uint64_t channel_bytes,                  \
+                                            uint32_t channels, const unsigned char *v, uint32_t padded,      \
+                                            const float *scale, float *out) {                                \
+    float totals[4];                                                                                         \
+    for (; channels > 4; channels -= 4, u += 4 * channel_bytes, out += 4)                                    \
+      NAME(sample_of_##storage)(u, channel_bytes, 4, v, padded, scale, out);                                 \
+    if (channels == 3) {                                                                                     \
+      NAME(sample_of_##storage)(u, channel_bytes, 3, v, padded, scale, totals);                              \
+    } else {                                                                                                 \
+      for (uint32_t c = 0; c < channels; c++, u += channel_bytes) {                                          \
+        float alone[4];                                                                                      \
+        NAME(sample_of_##storage)(u, channel_bytes, 1, v, padded, scale, alone);                             \
+        totals[c] = alone[0];                                                                                \
+      }                                                                                                      \
+    }                                                                                                        \
+    for (uint32_t c = 0; c < channels; c++) out[c] = totals[c];                                              \
   }
 
 /* Turns the number of rows into a constant. */
@@ -163,6 +278,7 @@
 #define DEFINE_KERNELS(storage, size)                                                                        \
   DEFINE_BLEND(storage, size)                                                                                \
   DEFINE_PROJECT(storage, size)                                                                              \
+  DEFINE_SAMPLE(storage, size)                                                                               \
   TARGET static void NAME(blend_##storage)(const btfi_fmf_rows *rows, uint32_t padded, const float *scale,   \
                                            float *dst) {                                                     \
     switch (rows->count) {                                                                                   \
@@ -194,21 +310,14 @@ TARGET static void NAME(dot)(const float *kept, uint32_t channels, const float *
     VECTOR sum[4] = {ZERO, ZERO, ZERO, ZERO};
     float totals[4];
     for (uint32_t c = 0; c < many; c++, kept += padded) {
-      VECTOR d0 = ZERO, d1 = ZERO, d2 = ZERO, d3 = ZERO;
+      VECTOR d0 = ZERO, d1 = ZERO;
       uint32_t i = 0;
-      for (; i + 4 * LANES <= padded; i += 4 * LANES) {
+      for (; i + 2 * LANES <= padded; i += 2 * LANES) {
         d0 = FMA(LOAD(kept + i), LOAD(v + i), d0);
         d1 = FMA(LOAD(kept + i + LANES), LOAD(v + i + LANES), d1);
-        d2 = FMA(LOAD(kept + i + 2 * LANES), LOAD(v + i + 2 * LANES), d2);
-        d3 = FMA(LOAD(kept + i + 3 * LANES), LOAD(v + i + 3 * LANES), d3);
       }
-      if (i + 2 * LANES <= padded) {
-        d0 = FMA(LOAD(kept + i), LOAD(v + i), d0);
-        d1 = FMA(LOAD(kept + i + LANES), LOAD(v + i + LANES), d1);
-        i += 2 * LANES;
-      }
-      if (i < padded) d2 = FMA(LOAD(kept + i), LOAD(v + i), d2);
-      sum[c] = ADD(ADD(d0, d1), ADD(d2, d3));
+      if (i < padded) d0 = FMA(LOAD(kept + i), LOAD(v + i), d0);
+      sum[c] = ADD(d0, d1);
     }
     SUM4(sum[0], sum[1], sum[2], sum[3], totals);
     for (uint32_t c = 0; c < many; c++) out[first + c] = totals[c];
@@ -231,5 +340,6 @@ static void NAME(permute)(uint32_t storage, uint32_t padded, const float *natura
 const btfi_fmf_kernels NAME(btfi_fmf) = {
     {NAME(blend_F32), NAME(blend_F16), NAME(blend_BF16), NAME(blend_Q8)},
     {NAME(project_F32), NAME(project_F16), NAME(project_BF16), NAME(project_Q8)},
+    {NAME(sample_F32), NAME(sample_F16), NAME(sample_BF16), NAME(sample_Q8)},
     NAME(dot),
     NAME(permute)};
