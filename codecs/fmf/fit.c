@@ -122,7 +122,7 @@ static btf_status factorise(fitting *f, double from, double to) {
                        .length = f->matrix.length,
                        .read = btfi_fmf_matrix_read,
                        .user = &f->matrix,
-                       .layout = BTF_LAYOUT_ITEM_ROWS,
+                       .layout = f->matrix.layout,
                        .rank = f->most_components,
                        .tolerance = f->accuracy,
                        .max_working_set = f->job->max_working_set,
@@ -146,7 +146,7 @@ static btf_status factorise(fitting *f, double from, double to) {
 static btf_status fit_all(fitting *f, const btf_dataset *ds, const btf_options *options) {
   const btf_host *host = f->host;
   double done = 0.0;
-  FMF_TRY(btfi_fmf_matrix_open(host, f->ctx, ds, &f->matrix));
+  FMF_TRY(btfi_fmf_matrix_open(host, f->ctx, ds, f->job->max_working_set, &f->matrix));
   f->out.views = f->matrix.views;
   f->out.lights = f->matrix.lights;
   f->out.channels = f->matrix.channels;

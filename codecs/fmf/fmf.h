@@ -174,6 +174,7 @@ typedef struct btfi_fmf_matrix {
   const btf_dataset *ds;
   uint32_t views, lights, channels, width, height;
   bool by_image;
+  uint32_t layout;        /* BTF_LAYOUT_* of what is read */
   uint64_t rows, texels;  /* of B */
   uint64_t items, length; /* of what is read: (rows, texels) or (texels, rows) */
   uint32_t block_items;   /* items that are best read together */
@@ -182,9 +183,9 @@ typedef struct btfi_fmf_matrix {
 } btfi_fmf_matrix;
 
 btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
-                                btfi_fmf_matrix *out);
+                                uint64_t max_working_set, btfi_fmf_matrix *out);
 void btfi_fmf_matrix_close(btfi_fmf_matrix *matrix);
-/* A btf_matrix_read_fn with BTF_LAYOUT_ITEM_ROWS; `matrix` is a btfi_fmf_matrix. */
+/* A btf_matrix_read_fn in the matrix's layout; `matrix` is a btfi_fmf_matrix. */
 btf_status btfi_fmf_matrix_read(void *matrix, uint64_t item0, uint64_t items, float *dst, size_t ld);
 
 typedef struct btfi_fmf_statistics {

@@ -4,8 +4,10 @@
 
 #include <string.h>
 
+enum { SMALL_BUDGET = 1 << 30 };
+
 btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
-                                btfi_fmf_matrix *out) {
+                                uint64_t max_working_set, btfi_fmf_matrix *out) {
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   uint64_t samples;
   memset(out, 0, sizeof *out);
@@ -18,9 +20,11 @@ btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const bt
   out->channels = desc.channels;
   out->width = desc.width;
   out->height = desc.height;
-  out->by_image =
-      (desc.flags & BTF_DATASET_IMAGE_MAJOR) != 0 ||
-      (desc.data != NULL && desc.strides.view > desc.strides.y && desc.strides.view > desc.strides.x);
+  /* A sample of texels tells more of B than a sample of images. But a stream of images has to be taken as it
+   * comes, and texels picked from mapped images make all of the mapping resident. */
+  const bool image_major = (desc.flags & BTF_DATASET_IMAGE_MAJOR) != 0;
+  out->by_image = image_major && (desc.data == NULL || max_working_set < SMALL_BUDGET);
+  out->layout = image_major && !out->by_image ? BTF_LAYOUT_ITEM_COLUMNS : BTF_LAYOUT_ITEM_ROWS;
   out->texels = (uint64_t)desc.width * desc.height;
   if (__builtin_mul_overflow((uint64_t)out->views * out->lights, (uint64_t)out->channels, &out->rows) ||
       __builtin_mul_overflow(out->rows, out->texels, &samples) || samples > UINT64_MAX / sizeof(float))
@@ -94,7 +98,9 @@ static btf_status read_images(btfi_fmf_matrix *m, uint64_t item0, uint64_t items
 /* ABRDFs. A run of texels is a box only within one line or over whole lines. */
 static btf_status read_texels(const btfi_fmf_matrix *m, uint64_t item0, uint64_t items, float *dst,
                               size_t ld) {
-  const ptrdiff_t value = sizeof *dst, texel = (ptrdiff_t)(ld * sizeof *dst);
+  const bool columns = m->layout == BTF_LAYOUT_ITEM_COLUMNS;
+  const ptrdiff_t near = sizeof *dst, far = (ptrdiff_t)(ld * sizeof *dst);
+  const ptrdiff_t value = columns ? far : near, texel = columns ? near : far;
   const btf_strides strides = {value * m->channels * m->lights, value * m->channels, texel * m->width, texel,
                                value};
   while (items > 0) {
@@ -107,7 +113,7 @@ static btf_status read_texels(const btfi_fmf_matrix *m, uint64_t item0, uint64_t
     }
     const uint64_t done = (uint64_t)block.width * block.height;
     FMF_TRY(m->host->dataset_read(m->ds, &block, dst, &strides));
-    dst += done * ld;
+    dst += columns ? done : done * ld;
     item0 += done;
     items -= done;
   }
@@ -118,12 +124,15 @@ btf_status btfi_fmf_matrix_read(void *matrix, uint64_t item0, uint64_t items, fl
   btfi_fmf_matrix *m = matrix;
   FMF_TRY(m->by_image ? read_images(m, item0, items, dst, ld) : read_texels(m, item0, items, dst, ld));
   if (m->mean == NULL) return BTF_OK;
-  for (uint64_t i = 0; i < items; i++, dst += ld) {
-    if (m->by_image) {
-      const float mean = m->mean[item0 + i];
-      for (uint64_t j = 0; j < m->length; j++) dst[j] -= mean;
+  const bool row_by_row = m->by_image || m->layout == BTF_LAYOUT_ITEM_COLUMNS;
+  const uint64_t lines = m->by_image || !row_by_row ? items : m->length;
+  const uint64_t run = m->by_image || !row_by_row ? m->length : items;
+  for (uint64_t i = 0; i < lines; i++, dst += ld) {
+    if (row_by_row) {
+      const float mean = m->mean[m->by_image ? item0 + i : i];
+      for (uint64_t j = 0; j < run; j++) dst[j] -= mean;
     } else {
-      for (uint64_t j = 0; j < m->length; j++) dst[j] -= m->mean[j];
+      for (uint64_t j = 0; j < run; j++) dst[j] -= m->mean[j];
     }
   }
   return BTF_OK;

@@ -27,7 +27,9 @@ static void take_part(void *job, uint32_t part, uint32_t thread) {
   statistics_pass *pass = job;
   const btfi_fmf_matrix *m = pass->matrix;
   const uint64_t rows = m->by_image ? pass->items : m->rows, others = m->by_image ? m->texels : pass->items;
-  const uint64_t row_step = m->by_image ? m->length : 1, other_step = m->by_image ? 1 : m->length;
+  const bool columns = m->layout == BTF_LAYOUT_ITEM_COLUMNS;
+  const uint64_t row_step = m->by_image ? m->length : columns ? pass->items : 1;
+  const uint64_t other_step = m->by_image || columns ? 1 : m->length;
   uint32_t *counts = pass->counts + (uint64_t)thread * BINS;
   const uint64_t first = rows * part / PARTS, last = rows * (part + 1) / PARTS;
   double energy = 0.0;
@@ -76,7 +78,8 @@ static btf_status read_all(btfi_fmf_matrix *m, const btf_job *job, double from, 
   for (uint64_t item = 0; item < m->items; item += block_items) {
     pass->items = m->items - item < block_items ? m->items - item : block_items;
     FMF_TRY(m->host->progress(job, from + (to - from) * (double)item / (double)m->items, "statistics"));
-    FMF_TRY(btfi_fmf_matrix_read(m, item, pass->items, block, m->length));
+    FMF_TRY(btfi_fmf_matrix_read(m, item, pass->items, block,
+                                 m->layout == BTF_LAYOUT_ITEM_COLUMNS ? pass->items : m->length));
     pass->sums = m->by_image ? row_sums + item : row_sums;
     if (counted > UINT32_MAX - pass->items * m->length) {
       add_up_counts(pass, threads);

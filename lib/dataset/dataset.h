@@ -14,6 +14,9 @@ const btf_dataset_desc *btfi_dataset_desc(const btf_dataset *ds);
 /* Views x lights entries that tell where a common light lies in its view's own list; NULL without such lists.
  */
 const btf_interp *btfi_dataset_light_weights(const btf_dataset *ds);
+/* Keeps at most about so many bytes of a mapping resident while blocks are read; 0 = no bound. Results do not
+ * depend on it. Free. */
+void btfi_dataset_limit_pages(const btf_dataset *ds, uint64_t bytes);
 uint32_t btfi_sample_size(uint32_t sample_type); /* bytes, 0 if unknown */
 /* One sample of any type at a byte address, as float. */
 float btfi_sample_to_float(uint32_t sample_type, const void *src);

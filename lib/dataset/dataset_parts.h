@@ -16,7 +16,8 @@ struct btf_dataset {
   btf_interp *
       light_weights; /* views x lights: where a sample lies in its view's own list; NULL without such lists */
   btfi_mapping mapping;
-  atomic_ullong mapped_bytes_read; /* since the mapping's pages were last let go */
+  atomic_ullong pages_kept;    /* bytes of the mapping that may stay resident; 0 = any number */
+  atomic_ullong bytes_touched; /* since pages were last let go */
   pthread_mutex_t one_reader;
   atomic_uint references;
 };

@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { piece_bytes = 16 << 20, message_bytes = 512, mapped_bytes_kept = 64 << 20 };
+enum { piece_bytes = 16 << 20, message_bytes = 512 };
 
 static _Thread_local bool source_said_why;
 
@@ -53,20 +53,46 @@ static void block_axes(const btf_dataset *ds, const btf_block *b, const btf_stri
 
 /* ---- resident and mapped samples ---- */
 
-/* Pages of a mapping count as memory of the process once touched. A pass over data larger than memory must
- * not keep them all. */
+/* ---- pages of a mapping ----
+ *
+ * Pages of a mapping count as memory of the process once touched. Within a memory budget they are given back
+ * while a pass goes on; they stay in the system's cache. */
+
+void btfi_dataset_limit_pages(const btf_dataset *ds, uint64_t bytes) {
+  atomic_store((atomic_ullong *)(uintptr_t)&ds->pages_kept, ds->mapping.size > bytes ? bytes : 0);
+  if (bytes != 0) btfi_mapping_let_go(&ds->mapping);
+}
+
+/* Bytes of mapping that a view of a block makes resident: the system maps 16 pages around each touched one.
+ */
+static uint64_t bytes_touched(const btf_dataset *ds, const btf_block *b) {
+  const btf_strides *s = &ds->desc.strides;
+  const uint64_t rows = (uint64_t)(s->y * (ptrdiff_t)(b->height - 1) + s->x * (ptrdiff_t)b->width);
+  const uint64_t around = 65536;
+  if (s->light > s->x) return b->lights * BTFI_MIN(rows + around, (uint64_t)s->light + around / b->lights);
+  return (uint64_t)b->height * b->width * BTFI_MAX(around, (uint64_t)s->light * b->lights);
+}
+
+/* Views of a block that may be read before pages have to go; all of them without a budget. */
+static uint32_t views_at_once(const btf_dataset *ds, const btf_block *b) {
+  const uint64_t kept = atomic_load(&ds->pages_kept);
+  if (kept == 0 || b->views == 0) return b->views;
+  const uint64_t views = kept / 2 / BTFI_MAX(bytes_touched(ds, b), 1);
+  return (uint32_t)BTFI_MIN(BTFI_MAX(views, 1), b->views);
+}
+
 static void let_go_of_pages(const btf_dataset *ds, const btf_block *b) {
-  atomic_ullong *count = (atomic_ullong *)(uintptr_t)&ds->mapped_bytes_read;
-  const uint64_t bytes = (uint64_t)b->views * b->lights * b->height * b->width * ds->desc.channels *
-                         btfi_sample_size(ds->desc.sample_type);
-  if (ds->mapping.size <= mapped_bytes_kept || atomic_fetch_add(count, bytes) + bytes <= mapped_bytes_kept)
-    return;
+  atomic_ullong *count = (atomic_ullong *)(uintptr_t)&ds->bytes_touched;
+  const uint64_t kept = atomic_load(&ds->pages_kept);
+  if (kept == 0) return;
+  const uint64_t bytes = b->views * bytes_touched(ds, b);
+  if (atomic_fetch_add(count, bytes) + bytes <= kept / 2) return;
   atomic_store(count, 0);
   btfi_mapping_let_go(&ds->mapping);
 }
 
-static btf_status read_resident(const btf_dataset *ds, const btf_block *b, float *dst,
-                                const btf_strides *strides) {
+static btf_status read_views(const btf_dataset *ds, const btf_block *b, float *dst,
+                             const btf_strides *strides) {
   const btf_strides *s = &ds->desc.strides;
   const char *src = (const char *)ds->desc.data + (ptrdiff_t)b->view0 * s->view +
                     (ptrdiff_t)b->light0 * s->light + (ptrdiff_t)b->y0 * s->y + (ptrdiff_t)b->x0 * s->x;
@@ -74,11 +100,24 @@ static btf_status read_resident(const btf_dataset *ds, const btf_block *b, float
   bool finite = true;
   block_axes(ds, b, s, strides, axes);
   BTFI_TRY(btfi_unpack_block(ds->ctx, &ds->kernels, axes, btfi_axes_most, src, dst, &finite));
-  if (finite) let_go_of_pages(ds, b);
+  let_go_of_pages(ds, b);
   char message[message_bytes];
   return finite ? BTF_OK
                 : btfi_fail_not_finite(ds->ctx, ds->label, ds->desc.sample_type, b, ds->desc.channels, src, s,
                                        message, sizeof message);
+}
+
+static btf_status read_resident(const btf_dataset *ds, const btf_block *b, float *dst,
+                                const btf_strides *strides) {
+  const uint32_t at_once = views_at_once(ds, b);
+  if (at_once == b->views) return read_views(ds, b, dst, strides);
+  btf_block part = *b;
+  for (uint32_t done = 0; done < b->views; done += part.views) {
+    part.view0 = b->view0 + done;
+    part.views = BTFI_MIN(at_once, b->views - done);
+    BTFI_TRY(read_views(ds, &part, (float *)((char *)dst + (ptrdiff_t)done * strides->view), strides));
+  }
+  return BTF_OK;
 }
 
 /* ---- streamed samples ---- */

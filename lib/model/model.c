@@ -107,6 +107,7 @@ static btf_status fit_payload(const btf_dataset *ds, const btf_codec *codec, con
 
 btf_status btf_model_fit(const btf_dataset *ds, const btf_codec *codec, const btf_options *options,
                          const btf_job *job, btf_model **out) {
+  uint64_t budget = 0;
   btfi_payload *payload;
   btf_context *ctx;
   btf_status status;
@@ -115,8 +116,13 @@ btf_status btf_model_fit(const btf_dataset *ds, const btf_codec *codec, const bt
     return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_model_fit: data set, codec and out must not be NULL");
   ctx = btfi_codec_context(codec);
   BTFI_TRY(check_fit(ds, codec, options));
+  if (job != NULL && job->struct_size >= offsetof(btf_job, max_working_set) + sizeof job->max_working_set)
+    budget = job->max_working_set;
   BTFI_TRY(btfi_payload_create(ctx, ds, btf_codec_id(codec), btfi_codec_vtbl(codec)->format_write, &payload));
+  /* A small budget of the caller's holds for the data's mapping as well. */
+  btfi_dataset_limit_pages(ds, budget < UINT64_C(1) << 30 ? budget : 0);
   status = fit_payload(ds, codec, options, job, payload);
+  btfi_dataset_limit_pages(ds, 0);
   /* Loading what a file would hold makes the fresh model and the stored one the same. */
   if (status == BTF_OK) status = btfi_model_from_payload(codec, payload, out);
   btfi_payload_release(payload);
