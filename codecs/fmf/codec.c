@@ -50,7 +50,8 @@ const btf_codec_vtbl btf_codec_fmf = {
     .id = "fmf",
     .title = "full matrix factorisation (truncated SVD of all ABRDFs)",
     .version = "1",
-    .caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT | BTF_CAP_BATCH | BTF_CAP_LOD | BTF_CAP_LINEAR,
+    .caps =
+        BTF_CAP_FIT | BTF_CAP_STREAM_FIT | BTF_CAP_BATCH | BTF_CAP_LOD | BTF_CAP_LINEAR | BTF_CAP_HARDENED,
     .params = params,
     .format_read_min = 1,
     .format_write = 1,

@@ -4,10 +4,8 @@
 
 #include <string.h>
 
-enum { SMALL_BUDGET = 1 << 30 };
-
 btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
-                                uint64_t max_working_set, btfi_fmf_matrix *out) {
+                                uint64_t budget, btfi_fmf_matrix *out) {
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   uint64_t samples;
   memset(out, 0, sizeof *out);
@@ -29,6 +27,9 @@ btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const bt
   if (__builtin_mul_overflow((uint64_t)out->views * out->lights, (uint64_t)out->channels, &out->rows) ||
       __builtin_mul_overflow(out->rows, out->texels, &samples) || samples > UINT64_MAX / sizeof(float))
     return host->fail(ctx, BTF_E_LIMIT, "fmf: the data set has more samples than 64 bits can count");
+  /* What is read once and held may be read either way. The decomposition adds up over items in float: the
+   * fewer, the better it is. */
+  if (samples <= budget / 2 / sizeof(float)) out->by_image = out->rows <= out->texels;
   out->items = out->by_image ? out->rows : out->texels;
   out->length = out->by_image ? out->texels : out->rows;
   out->block_items = out->by_image ? out->channels : desc.data == NULL ? desc.width : 0;
