@@ -182,11 +182,10 @@ typedef struct btfi_fmf_matrix {
   float *partial;         /* channels x texels, for reads that begin or end within a pixel's channels */
 } btfi_fmf_matrix;
 
-/* `budget` is the working set of the fit in bytes. */
 btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
-                                uint64_t budget, btfi_fmf_matrix *out);
+                                uint64_t max_working_set, btfi_fmf_matrix *out);
 void btfi_fmf_matrix_close(btfi_fmf_matrix *matrix);
-/* A btf_matrix_read_fn with BTF_LAYOUT_ITEM_ROWS; `matrix` is a btfi_fmf_matrix. */
+/* A btf_matrix_read_fn in the matrix's layout; `matrix` is a btfi_fmf_matrix. */
 btf_status btfi_fmf_matrix_read(void *matrix, uint64_t item0, uint64_t items, float *dst, size_t ld);
 
 typedef struct btfi_fmf_statistics {

@@ -4,8 +4,10 @@
 
 #include <string.h>
 
+enum { SMALL_BUDGET = 1 << 30 };
+
 btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
-                                uint64_t budget, btfi_fmf_matrix *out) {
+                                uint64_t max_working_set, btfi_fmf_matrix *out) {
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   uint64_t samples;
   memset(out, 0, sizeof *out);
@@ -18,18 +20,20 @@ btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const bt
   out->channels = desc.channels;
   out->width = desc.width;
   out->height = desc.height;
-  /* A sample of texels tells more of B than a sample of images. But a stream of images has to be taken as it
-   * comes, and texels picked from mapped images make all of the mapping resident. */
-  const bool image_major = (desc.flags & BTF_DATASET_IMAGE_MAJOR) != 0;
-  out->by_image = image_major && (desc.data == NULL || max_working_set < SMALL_BUDGET);
-  out->layout = image_major && !out->by_image ? BTF_LAYOUT_ITEM_COLUMNS : BTF_LAYOUT_ITEM_ROWS;
   out->texels = (uint64_t)desc.width * desc.height;
   if (__builtin_mul_overflow((uint64_t)out->views * out->lights, (uint64_t)out->channels, &out->rows) ||
       __builtin_mul_overflow(out->rows, out->texels, &samples) || samples > UINT64_MAX / sizeof(float))
     return host->fail(ctx, BTF_E_LIMIT, "fmf: the data set has more samples than 64 bits can count");
+  const bool image_major =
+      (desc.flags & BTF_DATASET_IMAGE_MAJOR) != 0 ||
+      (desc.data != NULL && desc.strides.view > desc.strides.y && desc.strides.view > desc.strides.x);
+  /* A sample of texels tells more of B than a sample of images. But a stream of images has to be taken as it
+   * comes, and texels picked from mapped images make all of the mapping resident. */
+  out->by_image = image_major && (desc.data == NULL || max_working_set < SMALL_BUDGET);
   /* What is read once and held may be read either way. The decomposition adds up over items in float: the
-   * fewer, the better it is. */
-  if (samples <= budget / 2 / sizeof(float)) out->by_image = out->rows <= out->texels;
+   * fewer, the better. */
+  if (samples <= max_working_set / 2 / sizeof(float)) out->by_image = out->rows <= out->texels;
+  out->layout = image_major && !out->by_image ? BTF_LAYOUT_ITEM_COLUMNS : BTF_LAYOUT_ITEM_ROWS;
   out->items = out->by_image ? out->rows : out->texels;
   out->length = out->by_image ? out->texels : out->rows;
   out->block_items = out->by_image ? out->channels : desc.data == NULL ? desc.width : 0;
