@@ -331,8 +331,10 @@ static void hostile_queries_and_samples_give_finite_values(void **state) {
   test_cube_make(ctx, &cube, BTF_SAMPLE_F16, 5, 6, 7, 9, 2, 3);
   uint64_t random = 5;
   uint16_t *samples = (uint16_t *)(void *)cube.image_major;
+  tame(&cube, 4);
+  btf_model *model = cube_model(ctx, &cube, BTF_ORDER_VLYXC, TEST_RESIDENT, BTF_WRAP_PERIODIC);
+  /* Data that is damaged once the model has been made. */
   for (size_t i = 0; i < cube.count; i += 3) samples[i] = test_random(&random) % 2 ? 0x7c00u : 0xfe01u;
-  btf_model *model = cube_model(ctx, &cube, BTF_ORDER_VLYXC, TEST_MAPPED, BTF_WRAP_PERIODIC);
   const long allocations = memory.total_allocations;
   for (int i = 0; i < 200000; ++i) {
     union {
@@ -355,6 +357,97 @@ static void hostile_queries_and_samples_give_finite_values(void **state) {
   btf_model_release(model);
   test_cube_free(&cube);
   test_context_done(ctx, &memory);
+}
+
+/* ---- samples that are not finite ---- */
+
+static void expect_place(const btf_dataset *ds, const char *place) {
+  btf_model *model;
+  assert_status(btf_model_from_dataset(ds, NULL, &model), BTF_E_CORRUPT);
+  assert_null(model);
+  assert_message_has(place);
+  assert_message_has("is not finite");
+}
+
+static void samples_not_finite_are_refused(void **state) {
+  (void)state;
+  static const uint16_t bad_half[] = {0x7c00u, 0xfc00u, 0x7e00u, 0xfc01u},
+                        good_half[] = {0x7bffu, 0xfbffu, 1u, 0x8000u};
+  static const uint32_t bad_float[] = {0x7f800000u, 0xff800000u, 0x7fc00000u, 0xff800001u},
+                        good_float[] = {0x7f7fffffu, 0xff7fffffu, 1u, 0x80000000u};
+  for (uint32_t threads = 1; threads <= 3; threads += 2)
+    for (int wide = 0; wide < 2; ++wide)
+      for (int order = 0; order < 2; ++order)
+        for (int source = TEST_RESIDENT; source <= TEST_MAPPED; source += TEST_MAPPED - TEST_RESIDENT) {
+          test_memory memory;
+          btf_context *ctx = test_context_with(&memory, NULL, threads);
+          test_cube cube;
+          test_cube_make(ctx, &cube, wide ? BTF_SAMPLE_F32 : BTF_SAMPLE_F16, 5, 6, 7, 9, 3, 3);
+          tame(&cube, 8);
+          const btf_strides s = test_cube_strides(&cube, orders[order], (ptrdiff_t)cube.size);
+          unsigned char *samples = orders[order] == BTF_ORDER_VLYXC ? cube.image_major : cube.texel_major;
+          unsigned char *sample = samples + 4 * s.view + 2 * s.light + 5 * s.y + 3 * s.x + s.channel;
+          for (int k = 0; k < 8; ++k) {
+            const void *value = wide ? (k < 4 ? &bad_float[k] : &good_float[k - 4])
+                                     : (const void *)(k < 4 ? &bad_half[k] : &good_half[k - 4]);
+            memcpy(sample, value, cube.size);
+            btf_dataset *ds = test_cube_dataset(ctx, &cube, orders[order], source, test_path("raw.btfd"));
+            btf_model *model = NULL;
+            if (k < 4)
+              expect_place(ds, "view 4, light 2, row 5, column 3, channel 1");
+            else
+              assert_ok(btf_model_from_dataset(ds, NULL, &model));
+            btf_model_release(model);
+            btf_dataset_release(ds);
+          }
+          test_cube_free(&cube);
+          test_context_done(ctx, &memory);
+        }
+}
+
+/* Many pieces, strides of every sign, and the same place whatever the number of threads. */
+static void the_first_place_is_named(void **state) {
+  (void)state;
+  enum { views = 6, lights = 5, height = 64, width = 512, count = views * lights * height * width };
+  float *data = malloc(count * sizeof *data);
+  assert_non_null(data);
+  for (uint32_t threads = 1; threads <= 4; threads += 3)
+    for (int turned = 0; turned < 2; ++turned) {
+      test_memory memory;
+      btf_context *ctx = test_context_with(&memory, NULL, threads);
+      btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+      btf_dataset *ds;
+      btf_model *model;
+      const ptrdiff_t f = (ptrdiff_t)sizeof(float), image = f * height * width;
+      desc.views = test_spiral(ctx, views, 0.0);
+      desc.lights = test_spiral(ctx, lights, 0.5);
+      desc.width = width;
+      desc.height = height;
+      desc.channels = 1;
+      desc.data = data;
+      if (turned) { /* the last row first */
+        desc.data = data + (size_t)(height - 1) * width;
+        desc.strides = (btf_strides){image * lights, image, -f * width, f, f};
+      }
+      for (size_t i = 0; i < count; ++i) data[i] = 0.5f;
+      assert_ok(btf_dataset_create(ctx, &desc, &ds));
+      assert_ok(btf_model_from_dataset(ds, NULL, &model));
+      btf_model_release(model);
+      data[count - 1] = NAN;
+      expect_place(ds, turned ? "view 5, light 4, row 0, column 511, channel 0"
+                              : "view 5, light 4, row 63, column 511, channel 0");
+      data[((3 * lights + 2) * height + 7) * width + 100] = INFINITY;
+      expect_place(ds, turned ? "view 3, light 2, row 56, column 100, channel 0"
+                              : "view 3, light 2, row 7, column 100, channel 0");
+      data[0] = -INFINITY;
+      expect_place(ds, turned ? "view 0, light 0, row 63, column 0, channel 0"
+                              : "view 0, light 0, row 0, column 0, channel 0");
+      btf_dataset_release(ds);
+      btf_dirset_release((btf_dirset *)(uintptr_t)desc.views);
+      btf_dirset_release((btf_dirset *)(uintptr_t)desc.lights);
+      test_context_done(ctx, &memory);
+    }
+  free(data);
 }
 
 /* ---- sources that are read into memory ---- */
@@ -472,6 +565,9 @@ static void lights_of_each_view_are_evaluated(void **state) {
     for (int k = 0; k < 2; ++k) btf_model_eval(model[k], &q, &got[k]);
     assert_near(got[0], got[1], 2.5e-7); /* the same, and one rounding more */
   }
+  float *last = &data[(views - 1) * own * w * h];
+  last[(own - views) * w * h + 1] = NAN; /* the last view's last light */
+  expect_place(ds[0], "view 3, light 5, row 0, column 1, channel 0");
   for (int k = 0; k < 2; ++k) {
     btf_model_release(model[k]);
     btf_dataset_release(ds[k]);
@@ -490,6 +586,8 @@ int main(void) {
       cmocka_unit_test(coarser_levels_are_means_of_finer_ones),
       cmocka_unit_test(textures_repeat_or_end),
       cmocka_unit_test(hostile_queries_and_samples_give_finite_values),
+      cmocka_unit_test(samples_not_finite_are_refused),
+      cmocka_unit_test(the_first_place_is_named),
       cmocka_unit_test(streamed_sources_are_read_whole),
       cmocka_unit_test(lights_of_each_view_are_evaluated),
   };

@@ -74,7 +74,9 @@ LIBBTF_API LIBBTF_NODISCARD btf_status btf_model_fit(const btf_dataset *ds, cons
 
 /** Makes a model that evaluates a data set as it stands (codec id "raw"): the reference for every codec.
  *  Resident and mapped data are used in place; a streamed source is read into memory, within the limits.
- *  Threads: free. */
+ *  Float samples are looked at once, all of them, which costs one reading of the data: BTF_E_CORRUPT names the
+ *  place of one that is not finite. Other errors: BTF_E_CANCELLED, BTF_E_LIMIT, BTF_E_NOMEM and what the source
+ *  returns. Threads: free. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_model_from_dataset(const btf_dataset *ds, const btf_job *job,
                                                               btf_model **out);
 

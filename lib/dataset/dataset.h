@@ -17,6 +17,9 @@ const btf_interp *btfi_dataset_light_weights(const btf_dataset *ds);
 /* Keeps at most about so many bytes of a mapping resident while blocks are read; 0 = no bound. Results do not
  * depend on it. Free. */
 void btfi_dataset_limit_pages(const btf_dataset *ds, uint64_t bytes);
+/* BTF_E_CORRUPT, naming the place, if a resident or mapped sample is not finite; reads all of them once.
+ * Samples of a source are checked when they are read. */
+btf_status btfi_dataset_check_finite(const btf_dataset *ds, const btf_job *job);
 uint32_t btfi_sample_size(uint32_t sample_type); /* bytes, 0 if unknown */
 /* One sample of any type at a byte address, as float. */
 float btfi_sample_to_float(uint32_t sample_type, const void *src);

@@ -118,6 +118,7 @@ btf_status btfi_raw_state(const btf_dataset *ds, const btf_job *job, void **stat
     s->samples = d->data;
     s->strides = d->strides;
     s->own_lights = btfi_dataset_light_weights(ds);
+    status = btfi_dataset_check_finite(ds, job);
   } else {
     status = read_all(s, d, job);
   }
@@ -133,8 +134,8 @@ btf_status btfi_raw_state(const btf_dataset *ds, const btf_job *job, void **stat
 
 /* ---- evaluation ---- */
 
-/* Adds weight times the texel of one image, given by its first sample. A sample that is not finite counts as
- * 0. */
+/* Adds weight times the texel of one image, given by its first sample. A sample that is not finite
+ * counts as 0: none was there when the model was made, but a mapped file can change. */
 static inline void add_texel(const raw_state *s, const char *image, uint32_t x, uint32_t y, double weight,
                              double *sum) {
   const char *sample = image + (ptrdiff_t)y * s->strides.y + (ptrdiff_t)x * s->strides.x;

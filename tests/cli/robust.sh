@@ -27,7 +27,14 @@ sed -i 's/\[0.6, 0, 0.8\]/[0.6, 0, 0.9]/' wrong.btfd/manifest.json
 wrong "light not a unit vector" 3 "light"
 sed -i 's/"type": "u8"/"type": "f32"/' wrong.btfd/manifest.json
 printf '\0\0\200\077\0\0\200\077\0\0\200\077\0\0\300\177\0\0\200\077\0\0\200\077' >wrong.btfd/samples.bin
+cp -r wrong.btfd nan.btfd
 wrong "a sample that is not a number" 3 "not finite"
+for command in eval fetch "render -o nan.png"; do
+  # shellcheck disable=SC2086
+  run ${command%% *} nan.btfd ${command#"${command%% *}"} </dev/null
+  expect "$command of a sample that is not a number" 3 "view 0, light 1, row 0, column 1, channel 0 is not finite"
+done
+[ ! -e nan.png ] && pass || fail "an image of a sample that is not a number"
 printf 'junk junk junk junk junk junk junk junk junk junk' >junk.btfz
 for command in info verify eval fetch bench; do
   run $command junk.btfz </dev/null
