@@ -4,8 +4,6 @@
 #include <math.h>
 #include <string.h>
 
-#include <cblas.h>
-
 #include "svd/svd_state.h"
 
 static const uint64_t default_working_set = (uint64_t)1 << 30;
@@ -24,9 +22,9 @@ enum {
   RUN = 32,
   SAMPLE_MIN = 2048,
   SAMPLE_MAX = 8192,
-  SAMPLE_PER_COLUMN = 96,
+  SAMPLE_PER_COLUMN = 112,
   FIRST_TARGET_RANK = 24,
-  REFINE_GAIN = 20 /* what refining reduces an error by, or more */
+  REFINE_GAIN = 10 /* what refining reduces an error by, or more */
 };
 
 static uint64_t round_up(uint64_t value, uint64_t grain) {
@@ -155,7 +153,7 @@ static btf_status begin_state(svd_state *s) {
   const uint64_t width = plan->width, padded = round_up(plan->block_items, BTFI_SLAB_GRAIN);
   const uint64_t panel = plan->length_padded * width * sizeof(float);
   const uint64_t kept_blocks = plan->held ? plan->block_count : plan->sample_blocks;
-  if ((s->window = btfi_calloc(s->ctx, plan->block_floats, sizeof(float))) == NULL ||
+  if ((s->window = btfi_alloc(s->ctx, plan->block_floats, sizeof(float))) == NULL ||
       (s->blocks = btfi_alloc(s->ctx, plan->block_floats * sizeof(float), kept_blocks)) == NULL ||
       (s->projection = btfi_alloc(s->ctx, s->desc->items + BTFI_SLAB_GRAIN, width * sizeof(float))) == NULL ||
       (s->basis = btfi_alloc(s->ctx, panel, 1)) == NULL ||
@@ -175,6 +173,7 @@ static btf_status begin_state(svd_state *s) {
                                                           width * sizeof(float))) == NULL ||
                        (s->wide = btfi_alloc(s->ctx, (SVD_WIDE * both + 4) * both, sizeof(double))) == NULL))
     return btfi_alloc_status();
+  btfi_svd_clear_block(s, s->window);
   for (uint64_t b = 0; b < kept_blocks; b++) btfi_svd_clear_block(s, s->blocks + b * plan->block_floats);
   return BTF_OK;
 }
@@ -183,7 +182,8 @@ static btf_status begin_state(svd_state *s) {
 
 /* What further passes would gain, from what the last half step gained. The part of a right singular vector
  * that leaks to one of squared value mu loses the factor mu / ritz[i] with each half step; mu is at most that
- * of the last column that is no stray's. */
+ * of the last column that is no stray's. Half of the leaks are counted there, the others go to far smaller
+ * values. */
 static double remaining_gain(const svd_state *s) {
   const uint32_t rank = BTFI_MIN(s->found, s->plan.rank);
   const uint32_t regular = s->found > s->partial_count ? s->found - s->partial_count : 0;
@@ -191,7 +191,7 @@ static double remaining_gain(const svd_state *s) {
   for (uint32_t i = 0; i < rank; i++) {
     const double gain = s->ritz[i] - s->ritz_before[i];
     const double ratio = fmin(0.98, s->ritz[BTFI_MAX(rank, regular) - 1] / s->ritz[i]);
-    if (gain > 0) sum += gain * ratio / (1 - ratio);
+    if (gain > 0) sum += 0.5 * gain * ratio / (1 - ratio);
   }
   return sum;
 }
@@ -219,10 +219,10 @@ static btf_status converge(svd_state *s) {
     const double last = first + 0.6 * (0.98 - first), rest_before = fmax(0, s->energy - after);
     double *previous = s->previous;
     const uint32_t rank = s->plan.rank;
-    memcpy(previous, s->ritz, pass > 0 ? rank * sizeof(double) : 0);
+    if (pass > 0) memcpy(previous, s->ritz, rank * sizeof(double));
     /* A pass finds a better basis; where little is missing, the two bases together are worth more than
      * another pass, and their images cost half of one. */
-    refined = s->plan.refine && !refined && missed <= 0.25 * allowed * rest_before &&
+    refined = s->plan.refine && !refined && missed <= 0.5 * allowed * rest_before &&
               estimate <= REFINE_GAIN * allowed * rest_before;
     if (refined) {
       BTFI_TRY(btfi_svd_refine(s, first, last));
@@ -249,9 +249,10 @@ static btf_status converge(svd_state *s) {
       before = captured_before;
     }
     after = captured;
-    btfi_log(s->ctx, BTF_LOG_INFO, "svd: %s %d: residual %.4g of the energy, about %.2g of it to gain",
+    btfi_log(s->ctx, BTF_LOG_INFO,
+             "svd: %s %d: residual %.4g of the energy, about %.2g of it to gain, %.2g missed",
              refined ? "refined by reading" : "pass", pass + 1, s->energy > 0 ? rest / s->energy : 0,
-             rest > 0 ? estimate / rest : 0);
+             rest > 0 ? estimate / rest : 0, rest > 0 ? missed / rest : 0);
     /* Nothing is beyond the panel. */
     if (s->plan.width >= smaller && pass > 0) return BTF_OK;
     /* A basis far from singular vectors makes the columns of C nearly dependent, and float's rounding is
@@ -259,7 +260,8 @@ static btf_status converge(svd_state *s) {
     const double blur =
         s->found > 0 ? s->plan.width * float_rounding * float_rounding * s->spread * s->ritz[0] : 0;
     const bool clear = s->plan.sample_blocks > 0 && blur <= 0.25 * allowed * rest;
-    if ((pass > 0 || clear) && (estimate <= allowed * rest || !grows) && (clear || !grows)) return BTF_OK;
+    if ((pass > 0 || clear) && (estimate <= 0.75 * allowed * rest || !grows) && (clear || !grows))
+      return BTF_OK;
   }
   btfi_log(s->ctx, BTF_LOG_WARNING, "svd: %d readings did not reach the tolerance %g", SVD_MAX_PASSES,
            tolerance);
