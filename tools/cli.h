@@ -9,6 +9,7 @@
 #ifndef BTF_TOOLS_CLI_H
 #define BTF_TOOLS_CLI_H
 
+#include <stdatomic.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -78,6 +79,7 @@ struct cli {
   cli_given *given; /* in the order of the command line */
   int given_count;
   bool quiet, verbose;
+  atomic_uint warnings; /* of the library so far */
   uint32_t threads;     /* --threads; the number of processors unless given */
   btf_context *context; /* made by cli_context */
 };
@@ -129,6 +131,9 @@ int cli_exit_of(btf_status status);
 int cli_out_of_memory(void);
 /* A line on standard error unless --quiet. */
 void cli_note(const cli *c, const char *format, ...) LIBBTF_PRINTF(2, 3);
+
+/* The same for what must be known even with --quiet: the work was done, but not all that was asked for. */
+void cli_warn(cli *c, const char *format, ...) LIBBTF_PRINTF(2, 3);
 
 /* Flushes standard output. EXIT_IO when it could not be written. A reader that closed the pipe ends the
  * process quietly, as it ends every filter. */

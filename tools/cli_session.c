@@ -63,6 +63,14 @@ void cli_note(const cli *c, const char *format, ...) {
   va_end(arguments);
 }
 
+void cli_warn(cli *c, const char *format, ...) {
+  va_list arguments;
+  atomic_fetch_add(&c->warnings, 1);
+  va_start(arguments, format);
+  print_line(format, arguments);
+  va_end(arguments);
+}
+
 int cli_exit_of(btf_status status) {
   switch (status) {
   case BTF_OK:
@@ -207,10 +215,10 @@ void cli_progress_done(cli *c) {
 /* ---- context ---- */
 
 static void on_log(void *user, int32_t level, btf_status code, const char *message) {
-  const cli *c = user;
+  cli *c = user;
   /* Failures come back as statuses and are printed once, by whoever gives up because of them. */
   (void)code;
-  if (level == BTF_LOG_WARNING) cli_note(c, "warning: %s", message);
+  if (level == BTF_LOG_WARNING) cli_warn(c, "warning: %s", message);
   if (level == BTF_LOG_INFO && c->verbose) cli_note(c, "%s", message);
 }
 

@@ -40,6 +40,7 @@ static void print_report(const cli *c, const char *path, const report *r) {
     json_number(&j, "seconds", seconds);
     json_number(&j, "fit_seconds", r->fit_seconds);
     json_number(&j, "save_seconds", r->save_seconds);
+    json_integer(&j, "warnings", atomic_load(&c->warnings));
     json_close(&j, '}');
     json_end(&j);
   } else {

@@ -38,6 +38,15 @@ check_files() {
   expect "fetch from a container" 0 ""
   [ "$(wc -l <out.txt)" = 2 ] && pass || fail "two samples" "$out"
 
+  run encode big.btfd -o missed.btfz --codec fmf -p rmse=1e-7 -p max_components=2 --quiet
+  expect "a target that is missed" 0 "missed.btfz: "
+  [[ $err == "btf: warning: fmf: 2 components reach an rmse of "*"1e-07 was asked for"* ]] && pass || fail "warning of a missed target" "$err"
+  run encode big.btfd -o missed.btfz --codec fmf -p psnr=150 -p max_components=2 --json
+  expect_json "a target that is missed, as JSON"
+  grep -q '"warnings": 1' out.txt && [[ $err == *warning* ]] && pass || fail "JSON counts the warnings" "$out" "$err"
+  run encode big.btfd -o met.btfz --codec fmf -p psnr=20 --json
+  grep -q '"warnings": 0' out.txt && [ -z "$err" ] && pass || fail "no warning of a target that is met" "$out" "$err"
+
   run encode big.btfd -o x.btfz --codec fmf -p componets=8
   expect "unknown parameter" 1 "componets"
   run encode big.btfd -o x.btfz --codec fmf -p components=many
