@@ -48,6 +48,10 @@ static inline bool btfi_add(uint64_t a, uint64_t b, uint64_t *out) {
 
 /* ---- growable structs (memory.c) ---- */
 
+/* Bytes of a struct up to the end of a member. With the last member that the first released version had, this
+ * is the least size a caller may give; it stays when the struct grows. */
+#define BTFI_SIZE_TO(type, member) (offsetof(type, member) + sizeof(((type *)0)->member))
+
 /* Copies a caller's struct (whose first member is struct_size) to ours of `size` bytes. `minimum` is the size
  * of the first released version. */
 btf_status btfi_copy_in(btf_context *ctx, const char *name, void *dst, size_t size, size_t minimum,

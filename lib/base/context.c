@@ -15,7 +15,9 @@ static void fill_limits(btf_limits *limits) {
 /* Checks the description and copies it to a context that is not allocated yet. */
 static btf_status read_description(const btf_context_desc *user, btf_context *out) {
   btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
-  if (user) BTFI_TRY(btfi_copy_in(NULL, "btf_context_desc", &desc, sizeof desc, sizeof desc, user));
+  if (user)
+    BTFI_TRY(btfi_copy_in(NULL, "btf_context_desc", &desc, sizeof desc, BTFI_SIZE_TO(btf_context_desc, isa),
+                          user));
   if (desc.flags != 0)
     return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_context_desc: flags is %#x; expected 0",
                      (unsigned)desc.flags);
@@ -30,8 +32,8 @@ static btf_status read_description(const btf_context_desc *user, btf_context *ou
     out->allocator = *desc.allocator;
   }
   if (desc.limits)
-    BTFI_TRY(
-        btfi_copy_in(NULL, "btf_limits", &out->limits, sizeof out->limits, sizeof out->limits, desc.limits));
+    BTFI_TRY(btfi_copy_in(NULL, "btf_limits", &out->limits, sizeof out->limits,
+                          BTFI_SIZE_TO(btf_limits, max_channels), desc.limits));
   fill_limits(&out->limits);
   out->limits.struct_size = sizeof out->limits;
 

@@ -18,7 +18,8 @@ btf_status btfi_job_begin(btf_context *ctx, const btf_job *user, btfi_job *out) 
   out->desc = defaults;
   out->ctx = ctx;
   out->last_fraction = -1.0;
-  if (user) BTFI_TRY(btfi_copy_in(ctx, "btf_job", &out->desc, sizeof out->desc, sizeof out->desc, user));
+  if (user)
+    BTFI_TRY(btfi_copy_in(ctx, "btf_job", &out->desc, sizeof out->desc, BTFI_SIZE_TO(btf_job, seed), user));
   if (out->desc.max_working_set == 0) out->desc.max_working_set = (uint64_t)1 << 30;
   return BTF_OK;
 }

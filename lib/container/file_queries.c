@@ -47,7 +47,8 @@ btf_status btf_file_describe_model(const btf_file *file, uint32_t i, btf_model_i
   info.source = h->source;
   info.license = h->license;
   info.texels_per_mm = h->texels_per_mm;
-  return btfi_copy_out(file->ctx, "btf_model_info", io, sizeof(btf_model_info), &info, sizeof info);
+  return btfi_copy_out(file->ctx, "btf_model_info", io, BTFI_SIZE_TO(btf_model_info, texels_per_mm), &info,
+                       sizeof info);
 }
 
 const char *btf_file_metadata(const btf_file *file, const char *key) {
@@ -81,5 +82,6 @@ btf_status btf_file_chunk(const btf_file *file, uint32_t i, btf_chunk_info *io) 
   e = &file->entries[i];
   info = (btf_chunk_info){sizeof info, e->offset, e->stored, e->raw,   e->checksum, e->type,
                           e->tag,      e->index,  e->flags,  e->model, e->method};
-  return btfi_copy_out(file->ctx, "btf_chunk_info", io, sizeof(btf_chunk_info), &info, sizeof info);
+  return btfi_copy_out(file->ctx, "btf_chunk_info", io, BTFI_SIZE_TO(btf_chunk_info, method), &info,
+                       sizeof info);
 }

@@ -255,7 +255,8 @@ btf_status btf_dataset_create(btf_context *ctx, const btf_dataset_desc *desc, bt
   if (!ctx || !desc || !out)
     return btfi_fail(ctx, BTF_E_INVALID_ARG,
                      "btf_dataset_create: context, description and result must not be NULL");
-  BTFI_TRY(btfi_copy_in(ctx, "btf_dataset_desc", &own, sizeof own, sizeof own, desc));
+  BTFI_TRY(btfi_copy_in(ctx, "btf_dataset_desc", &own, sizeof own,
+                        BTFI_SIZE_TO(btf_dataset_desc, view_lights), desc));
   return btfi_dataset_make(ctx, &own, NULL, NULL, out);
 }
 
@@ -282,5 +283,6 @@ btf_status btf_dataset_describe(const btf_dataset *ds, btf_dataset_desc *io) {
   shown.read = NULL;
   shown.release = NULL;
   shown.user = NULL;
-  return btfi_copy_out(ds->ctx, "btf_dataset_desc", io, sizeof shown, &shown, sizeof shown);
+  return btfi_copy_out(ds->ctx, "btf_dataset_desc", io, BTFI_SIZE_TO(btf_dataset_desc, view_lights), &shown,
+                       sizeof shown);
 }

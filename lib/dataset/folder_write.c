@@ -116,7 +116,8 @@ btf_status btf_dataset_writer_create(btf_context *ctx, const char *path, const b
   if (!ctx || !path || !path[0] || !desc || !out)
     return btfi_fail(ctx, BTF_E_INVALID_ARG,
                      "btf_dataset_writer_create: context, path, description and result must not be NULL");
-  BTFI_TRY(btfi_copy_in(ctx, "btf_dataset_desc", &own, sizeof own, sizeof own, desc));
+  BTFI_TRY(btfi_copy_in(ctx, "btf_dataset_desc", &own, sizeof own,
+                        BTFI_SIZE_TO(btf_dataset_desc, view_lights), desc));
   if (order != BTF_ORDER_VLYXC && order != BTF_ORDER_YXVLC)
     return btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: order %u is unknown", path, order);
   btf_dataset_writer *w = btfi_calloc(ctx, 1, sizeof *w);

@@ -80,7 +80,7 @@ static btf_status open_reader(btf_context *ctx, const char *path, btf_io *out) {
 btf_status btf_io_file(btf_context *ctx, const char *path, uint32_t mode, btf_io *io) {
   btf_io made = BTF_IO_INIT;
   if (!ctx) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_io_file: ctx is NULL");
-  BTFI_TRY(btfi_copy_out(ctx, "btf_io", io, sizeof *io, &made, sizeof made));
+  BTFI_TRY(btfi_copy_out(ctx, "btf_io", io, BTFI_SIZE_TO(btf_io, name), &made, sizeof made));
   if (!path || !*path) return btfi_fail(ctx, BTF_E_INVALID_ARG, "btf_io_file: the path is empty");
   if (mode == BTF_IO_READ)
     BTFI_TRY(open_reader(ctx, path, &made));
@@ -89,7 +89,7 @@ btf_status btf_io_file(btf_context *ctx, const char *path, uint32_t mode, btf_io
   else
     return btfi_fail(ctx, BTF_E_INVALID_ARG, "btf_io_file: mode is %u; expected BTF_IO_READ or BTF_IO_WRITE",
                      (unsigned)mode);
-  return btfi_copy_out(ctx, "btf_io", io, sizeof *io, &made, sizeof made);
+  return btfi_copy_out(ctx, "btf_io", io, BTFI_SIZE_TO(btf_io, name), &made, sizeof made);
 }
 
 btf_status btfi_read_file(btf_context *ctx, const char *path, uint64_t limit, char **data, uint64_t *size) {

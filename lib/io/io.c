@@ -20,7 +20,7 @@ static const char *reason(void) {
 
 btf_status btfi_io_copy(btf_context *ctx, const btf_io *user, bool writing, btf_io *out) {
   memset(out, 0, sizeof *out);
-  BTFI_TRY(btfi_copy_in(ctx, "btf_io", out, sizeof *out, sizeof *out, user));
+  BTFI_TRY(btfi_copy_in(ctx, "btf_io", out, sizeof *out, BTFI_SIZE_TO(btf_io, name), user));
   if (writing ? out->write != NULL : out->read != NULL) return BTF_OK;
   const btf_status status = btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: btf_io has no %s function",
                                       btfi_io_name(out), writing ? "write" : "read");

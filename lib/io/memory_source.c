@@ -39,7 +39,7 @@ static int32_t memory_close(void *user, int32_t failed) {
 btf_status btf_io_memory(btf_context *ctx, const void *data, size_t size, btf_io *io) {
   btf_io made = BTF_IO_INIT;
   if (!ctx) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_io_memory: ctx is NULL");
-  BTFI_TRY(btfi_copy_out(ctx, "btf_io", io, sizeof *io, &made, sizeof made));
+  BTFI_TRY(btfi_copy_out(ctx, "btf_io", io, BTFI_SIZE_TO(btf_io, name), &made, sizeof made));
   if ((!data && size > 0) || size > INT64_MAX)
     return btfi_fail(ctx, BTF_E_INVALID_ARG, "btf_io_memory: data is NULL or its size absurd");
   memory_source *m = btfi_alloc(ctx, 1, sizeof *m);
@@ -54,5 +54,5 @@ btf_status btf_io_memory(btf_context *ctx, const void *data, size_t size, btf_io
   made.map = memory_map;
   made.close = memory_close;
   made.name = "memory";
-  return btfi_copy_out(ctx, "btf_io", io, sizeof *io, &made, sizeof made);
+  return btfi_copy_out(ctx, "btf_io", io, BTFI_SIZE_TO(btf_io, name), &made, sizeof made);
 }

@@ -133,7 +133,7 @@ static void eval_block(const btf_model *model, const btf_batch *block, int kind,
 /* The rules of btfi_copy_in, without its message: evaluation does not fail. */
 static int batch_usable(const btf_batch *batch) {
   const size_t size = batch->struct_size;
-  if (size < sizeof *batch || size > sizeof *batch + 4096) return 0;
+  if (size < BTFI_SIZE_TO(btf_batch, reserved) || size > sizeof *batch + 4096) return 0;
   for (size_t i = sizeof *batch; i < size; i++)
     if (((const unsigned char *)batch)[i] != 0) return 0;
   for (int k = 0; k < 3; k++)

@@ -116,7 +116,7 @@ btf_status btf_model_fit(const btf_dataset *ds, const btf_codec *codec, const bt
     return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_model_fit: data set, codec and out must not be NULL");
   ctx = btfi_codec_context(codec);
   BTFI_TRY(check_fit(ds, codec, options));
-  if (job != NULL && job->struct_size >= offsetof(btf_job, max_working_set) + sizeof job->max_working_set)
+  if (job != NULL && job->struct_size >= BTFI_SIZE_TO(btf_job, max_working_set))
     budget = job->max_working_set;
   BTFI_TRY(btfi_payload_create(ctx, ds, btf_codec_id(codec), btfi_codec_vtbl(codec)->format_write, &payload));
   /* A small budget of the caller's holds for the data's mapping as well. */
@@ -217,5 +217,6 @@ btf_status btf_model_describe(const btf_model *model, btf_model_info *io) {
     describe_payload(model->payload, &info);
   else
     describe_dataset(btfi_dataset_desc(model->dataset), &info);
-  return btfi_copy_out(model->ctx, "btf_model_info", io, sizeof info, &info, sizeof info);
+  return btfi_copy_out(model->ctx, "btf_model_info", io, BTFI_SIZE_TO(btf_model_info, texels_per_mm), &info,
+                       sizeof info);
 }

@@ -16,12 +16,13 @@
  * does not know may only be empty, since ignoring it would change what the codec does. */
 static btf_status copy_vtbl(btf_context *ctx, const btf_codec_vtbl *user, btf_codec_vtbl *out) {
   const unsigned char *bytes = (const unsigned char *)user;
+  const size_t least = BTFI_SIZE_TO(btf_codec_vtbl, texel);
   if (user->abi != LIBBTF_ABI)
     return btfi_fail(ctx, BTF_E_ABI, "codec: made for ABI %u; this library has ABI %u", (unsigned)user->abi,
                      LIBBTF_ABI);
-  if (user->struct_size < sizeof(btf_codec_vtbl))
+  if (user->struct_size < least)
     return btfi_fail(ctx, BTF_E_ABI, "codec: its table has %u bytes; the first version had %u",
-                     (unsigned)user->struct_size, (unsigned)sizeof(btf_codec_vtbl));
+                     (unsigned)user->struct_size, (unsigned)least);
   if (user->struct_size > sizeof *out + 4096)
     return btfi_fail(ctx, BTF_E_ABI, "codec: its table claims an absurd %u bytes",
                      (unsigned)user->struct_size);
@@ -29,7 +30,8 @@ static btf_status copy_vtbl(btf_context *ctx, const btf_codec_vtbl *user, btf_co
     if (bytes[i] != 0)
       return btfi_fail(ctx, BTF_E_ABI,
                        "codec: its table has entries this library does not know; a newer one is needed");
-  memcpy(out, user, sizeof *out);
+  memset(out, 0, sizeof *out);
+  memcpy(out, user, BTFI_MIN(user->struct_size, sizeof *out));
   out->struct_size = sizeof *out;
   return BTF_OK;
 }
@@ -144,7 +146,7 @@ static btf_status copy_params(btf_context *ctx, btf_codec *codec) {
   codec->param_count = count;
   for (uint32_t i = 0; i < count; i++) {
     BTFI_TRY(btfi_copy_in(ctx, "btf_param_desc", &codec->params[i], sizeof *codec->params,
-                          sizeof *codec->params, codec->vtbl.params[i]));
+                          BTFI_SIZE_TO(btf_param_desc, flags), codec->vtbl.params[i]));
     BTFI_TRY(check_param(ctx, codec, i));
   }
   return BTF_OK;

@@ -109,7 +109,8 @@ btf_status btf_codec_param(const btf_codec *codec, uint32_t i, btf_param_desc *i
   if (codec == NULL || i >= codec->param_count)
     return btfi_fail(codec != NULL ? codec->ctx : NULL, BTF_E_INVALID_ARG,
                      "btf_codec_param: there is no parameter %u", i);
-  return btfi_copy_out(codec->ctx, "btf_param_desc", io, sizeof *io, &codec->params[i], sizeof *io);
+  return btfi_copy_out(codec->ctx, "btf_param_desc", io, BTFI_SIZE_TO(btf_param_desc, flags),
+                       &codec->params[i], sizeof *io);
 }
 
 const btf_codec_vtbl *btfi_codec_vtbl(const btf_codec *codec) {

@@ -396,8 +396,9 @@ btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *user, const btf_job *j
   btf_svd_desc desc;
   btf_svd_result result = {0}, nothing = {0};
   result.struct_size = sizeof result;
-  BTFI_TRY(btfi_copy_out(ctx, "btf_svd_result", out, sizeof nothing, &nothing, sizeof nothing));
-  BTFI_TRY(btfi_copy_in(ctx, "btf_svd_desc", &desc, sizeof desc, sizeof desc, user));
+  BTFI_TRY(btfi_copy_out(ctx, "btf_svd_result", out, BTFI_SIZE_TO(btf_svd_result, residual), &nothing,
+                         sizeof nothing));
+  BTFI_TRY(btfi_copy_in(ctx, "btf_svd_desc", &desc, sizeof desc, BTFI_SIZE_TO(btf_svd_desc, reserved), user));
   BTFI_TRY(check(ctx, &desc));
   if (desc.max_working_set == 0) desc.max_working_set = default_working_set;
   if (desc.tolerance == 0) desc.tolerance = default_tolerance;
@@ -407,7 +408,8 @@ btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *user, const btf_job *j
   btf_status status = decompose(&s, &result);
   end_state(&s);
   if (status == BTF_OK)
-    status = btfi_copy_out(ctx, "btf_svd_result", out, sizeof result, &result, sizeof result);
+    status = btfi_copy_out(ctx, "btf_svd_result", out, BTFI_SIZE_TO(btf_svd_result, residual), &result,
+                           sizeof result);
   if (status != BTF_OK) btfi_svd_free(ctx, &result);
   return status;
 }
