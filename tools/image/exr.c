@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: MIT */
 /* exr.c: OpenEXR files through OpenEXRCore, read from and written to memory. */
 #include <openexr.h>
+
+#include <btf/btf_half.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -106,62 +108,133 @@ static int choose_channels(const exr_memory *m, exr_context_t ctx, bool *grey) {
   return EXIT_DONE;
 }
 
-/* Decodes one chunk whose first pixel is (x, y) of the picture. */
-static exr_result_t decode_chunk(exr_context_t ctx, const exr_chunk_info_t *chunk,
-                                 exr_decode_pipeline_t *decoder, bool first, bool grey, image *out,
-                                 uint32_t x, uint32_t y) {
-  exr_result_t code =
-      first ? exr_decoding_initialize(ctx, 0, chunk, decoder) : exr_decoding_update(ctx, 0, chunk, decoder);
-  if (code != EXR_ERR_SUCCESS) return code;
-  for (int i = 0; i < decoder->channel_count; i++) {
-    exr_coding_channel_info_t *channel = &decoder->channels[i];
-    const int slot = channel_slot(channel->channel_name);
-    channel->decode_to_ptr = NULL;
-    if (slot < 0 || grey != (slot == 3)) continue;
-    if ((uint64_t)x + (uint32_t)channel->width > out->width ||
-        (uint64_t)y + (uint32_t)channel->height > out->height)
-      return EXR_ERR_INVALID_ATTR;
-    channel->decode_to_ptr = (uint8_t *)(image_pixel(out, x, y) + (grey ? 0 : slot));
-    channel->user_data_type = EXR_PIXEL_FLOAT;
-    channel->user_bytes_per_element = sizeof(float);
-    channel->user_pixel_stride = 3 * sizeof(float);
-    channel->user_line_stride = (int32_t)(out->width * 3 * sizeof(float));
-  }
-  if (first) code = exr_decoding_choose_default_routines(ctx, 0, decoder);
-  return code == EXR_ERR_SUCCESS ? exr_decoding_run(ctx, 0, decoder) : code;
+/* The chunks of a part on their way into a picture. */
+typedef struct exr_chunks {
+  exr_context_t ctx;
+  exr_decode_pipeline_t decoder;
+  bool started, grey;
+  image *out;
+  unsigned char *planes; /* the used channels of one chunk, one after the other */
+  size_t room;
+} exr_chunks;
+
+static bool is_used(const exr_chunks *c, const exr_coding_channel_info_t *channel) {
+  const int slot = channel_slot(channel->channel_name);
+  return slot >= 0 && c->grey == (slot == 3);
 }
 
-static exr_result_t decode_scanlines(exr_context_t ctx, int32_t first_line, bool grey, image *out) {
-  exr_decode_pipeline_t decoder = EXR_DECODE_PIPELINE_INITIALIZER;
-  int32_t lines = 1;
-  exr_result_t code = exr_get_scanlines_per_chunk(ctx, 0, &lines);
-  if (code == EXR_ERR_SUCCESS && lines < 1) code = EXR_ERR_INVALID_ATTR;
-  for (uint32_t y = 0; code == EXR_ERR_SUCCESS && y < out->height; y += (uint32_t)lines) {
-    exr_chunk_info_t chunk;
-    code = exr_read_scanline_chunk_info(ctx, 0, first_line + (int32_t)y, &chunk);
-    if (code == EXR_ERR_SUCCESS) code = decode_chunk(ctx, &chunk, &decoder, y == 0, grey, out, 0, y);
+static size_t plane_bytes(const exr_coding_channel_info_t *channel) {
+  return (size_t)channel->width * (size_t)channel->height * channel->user_bytes_per_element;
+}
+
+/* Says where the samples of a chunk whose first pixel is (x, y) of the picture go. They keep their type: the
+ * library's routines that also convert expect that every channel is wanted, and write to NULL otherwise. */
+static exr_result_t aim_chunk(exr_chunks *c, uint32_t x, uint32_t y) {
+  size_t size = 0, offset = 0;
+  for (int i = 0; i < c->decoder.channel_count; i++) {
+    exr_coding_channel_info_t *channel = &c->decoder.channels[i];
+    channel->decode_to_ptr = NULL;
+    channel->user_data_type = channel->data_type;
+    channel->user_bytes_per_element = channel->bytes_per_element;
+    channel->user_pixel_stride = channel->bytes_per_element;
+    channel->user_line_stride = channel->width * channel->bytes_per_element;
+    if (!is_used(c, channel)) continue;
+    if (channel->width < 0 || (uint64_t)x + (uint32_t)channel->width > c->out->width || channel->height < 0 ||
+        (uint64_t)y + (uint32_t)channel->height > c->out->height)
+      return EXR_ERR_INVALID_ATTR;
+    size += plane_bytes(channel);
   }
-  exr_decoding_destroy(ctx, &decoder);
+  if (size > c->room) {
+    free(c->planes);
+    c->planes = malloc(size);
+    c->room = c->planes != NULL ? size : 0;
+    if (c->planes == NULL) return EXR_ERR_OUT_OF_MEMORY;
+  }
+  for (int i = 0; i < c->decoder.channel_count; i++) {
+    exr_coding_channel_info_t *channel = &c->decoder.channels[i];
+    if (!is_used(c, channel)) continue;
+    channel->decode_to_ptr = c->planes + offset;
+    offset += plane_bytes(channel);
+  }
+  return EXR_ERR_SUCCESS;
+}
+
+static float sample_value(const unsigned char *sample, uint16_t type) {
+  uint16_t half;
+  uint32_t whole;
+  float value;
+  if (type == EXR_PIXEL_HALF) {
+    memcpy(&half, sample, sizeof half);
+    return btf_half_to_float(half);
+  }
+  if (type == EXR_PIXEL_UINT) {
+    memcpy(&whole, sample, sizeof whole);
+    return (float)whole;
+  }
+  memcpy(&value, sample, sizeof value);
+  return value;
+}
+
+static void store_chunk(const exr_chunks *c, uint32_t x, uint32_t y) {
+  for (int i = 0; i < c->decoder.channel_count; i++) {
+    const exr_coding_channel_info_t *channel = &c->decoder.channels[i];
+    const unsigned char *sample = channel->decode_to_ptr;
+    if (!is_used(c, channel)) continue;
+    const int slot = c->grey ? 0 : channel_slot(channel->channel_name);
+    for (uint32_t line = 0; line < (uint32_t)channel->height; line++) {
+      float *pixel = image_pixel(c->out, x, y + line) + slot;
+      for (uint32_t k = 0; k < (uint32_t)channel->width; k++, sample += channel->user_bytes_per_element)
+        pixel[3 * (size_t)k] = sample_value(sample, channel->data_type);
+    }
+  }
+}
+
+static exr_result_t decode_chunk(exr_chunks *c, const exr_chunk_info_t *chunk, uint32_t x, uint32_t y) {
+  const bool first = !c->started;
+  exr_result_t code = first ? exr_decoding_initialize(c->ctx, 0, chunk, &c->decoder)
+                            : exr_decoding_update(c->ctx, 0, chunk, &c->decoder);
+  c->started = true;
+  if (code == EXR_ERR_SUCCESS) code = aim_chunk(c, x, y);
+  if (code == EXR_ERR_SUCCESS && first) code = exr_decoding_choose_default_routines(c->ctx, 0, &c->decoder);
+  if (code == EXR_ERR_SUCCESS) code = exr_decoding_run(c->ctx, 0, &c->decoder);
+  if (code == EXR_ERR_SUCCESS) store_chunk(c, x, y);
   return code;
 }
 
-static exr_result_t decode_tiles(exr_context_t ctx, bool grey, image *out) {
-  exr_decode_pipeline_t decoder = EXR_DECODE_PIPELINE_INITIALIZER;
-  int32_t tile_width = 0, tile_height = 0;
-  bool first = true;
-  exr_result_t code = exr_get_tile_sizes(ctx, 0, 0, 0, &tile_width, &tile_height);
-  if (code == EXR_ERR_SUCCESS && (tile_width < 1 || tile_height < 1)) code = EXR_ERR_INVALID_ATTR;
-  for (uint32_t ty = 0; code == EXR_ERR_SUCCESS && (uint64_t)ty * (uint32_t)tile_height < out->height; ty++) {
-    for (uint32_t tx = 0; code == EXR_ERR_SUCCESS && (uint64_t)tx * (uint32_t)tile_width < out->width; tx++) {
+static exr_result_t decode_scanlines(exr_chunks *c, int32_t first_line) {
+  int32_t lines = 1;
+  exr_result_t code = exr_get_scanlines_per_chunk(c->ctx, 0, &lines);
+  if (code == EXR_ERR_SUCCESS && lines < 1) code = EXR_ERR_INVALID_ATTR;
+  for (uint32_t y = 0; code == EXR_ERR_SUCCESS && y < c->out->height; y += (uint32_t)lines) {
+    exr_chunk_info_t chunk;
+    code = exr_read_scanline_chunk_info(c->ctx, 0, first_line + (int32_t)y, &chunk);
+    if (code == EXR_ERR_SUCCESS) code = decode_chunk(c, &chunk, 0, y);
+  }
+  return code;
+}
+
+static exr_result_t decode_tiles(exr_chunks *c) {
+  int32_t width = 0, height = 0;
+  exr_result_t code = exr_get_tile_sizes(c->ctx, 0, 0, 0, &width, &height);
+  if (code == EXR_ERR_SUCCESS && (width < 1 || height < 1)) code = EXR_ERR_INVALID_ATTR;
+  for (uint32_t ty = 0; code == EXR_ERR_SUCCESS && (uint64_t)ty * (uint32_t)height < c->out->height; ty++) {
+    for (uint32_t tx = 0; code == EXR_ERR_SUCCESS && (uint64_t)tx * (uint32_t)width < c->out->width; tx++) {
       exr_chunk_info_t chunk;
-      code = exr_read_tile_chunk_info(ctx, 0, (int)tx, (int)ty, 0, 0, &chunk);
+      code = exr_read_tile_chunk_info(c->ctx, 0, (int)tx, (int)ty, 0, 0, &chunk);
       if (code == EXR_ERR_SUCCESS)
-        code = decode_chunk(ctx, &chunk, &decoder, first, grey, out, tx * (uint32_t)tile_width,
-                            ty * (uint32_t)tile_height);
-      first = false;
+        code = decode_chunk(c, &chunk, tx * (uint32_t)width, ty * (uint32_t)height);
     }
   }
-  exr_decoding_destroy(ctx, &decoder);
+  return code;
+}
+
+static exr_result_t decode_part(exr_context_t ctx, exr_storage_t storage, int32_t first_line, bool grey,
+                                image *out) {
+  exr_chunks chunks = {.ctx = ctx, .decoder = EXR_DECODE_PIPELINE_INITIALIZER, .grey = grey, .out = out};
+  const exr_result_t code =
+      storage == EXR_STORAGE_TILED ? decode_tiles(&chunks) : decode_scanlines(&chunks, first_line);
+  exr_decoding_destroy(ctx, &chunks.decoder);
+  free(chunks.planes);
   return code;
 }
 
@@ -185,8 +258,7 @@ static int decode_open_file(exr_memory *m, exr_context_t ctx, image *out) {
     failed = image_create(out, (uint32_t)(window.max.x - window.min.x) + 1,
                           (uint32_t)(window.max.y - window.min.y) + 1);
   if (failed) return failed;
-  code = storage == EXR_STORAGE_TILED ? decode_tiles(ctx, grey, out)
-                                      : decode_scanlines(ctx, window.min.y, grey, out);
+  code = decode_part(ctx, storage, window.min.y, grey, out);
   if (code != EXR_ERR_SUCCESS) return fail(m, code, "malformed OpenEXR file");
   for (size_t i = 0; grey && i < (size_t)out->width * out->height; i++)
     out->rgb[3 * i + 1] = out->rgb[3 * i + 2] = out->rgb[3 * i];
