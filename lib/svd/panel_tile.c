@@ -24,8 +24,7 @@
                                  size_t b_row, float *c, size_t c_row) {                                     \
     __m512 sum[8][vectors];                                                                                  \
     UNROLL for (int row = 0; row < 8; row++) {                                                               \
-      UNROLL for (int v = 0; v < (vectors); v++) sum[row][v] =                                               \
-          _mm512_loadu_ps(c + (size_t)row * c_row + 16 * v);                                                 \
+      UNROLL for (int v = 0; v < (vectors); v++) sum[row][v] = _mm512_setzero_ps();                          \
     }                                                                                                        \
     const float *a_far = a + 4 * a_row;                                                                      \
     for (size_t t = 0; t < depth; t++, a += a_step, a_far += a_step, b += b_row) {                           \
@@ -44,7 +43,8 @@
     }                                                                                                        \
     UNROLL for (int row = 0; row < 8; row++) {                                                               \
       UNROLL for (int v = 0; v < (vectors); v++)                                                             \
-          _mm512_storeu_ps(c + (size_t)row * c_row + 16 * v, sum[row][v]);                                   \
+          _mm512_storeu_ps(c + (size_t)row * c_row + 16 * v,                                                 \
+                           _mm512_add_ps(_mm512_loadu_ps(c + (size_t)row * c_row + 16 * v), sum[row][v]));   \
     }                                                                                                        \
   }
 DEFINE_TILE_AVX512(tile_avx512_16, 1)
@@ -67,8 +67,7 @@ static void tile_avx512(uint32_t vectors, size_t depth, const float *a, size_t a
                                size_t b_row, float *c, size_t c_row) {                                       \
     __m256 sum[4][vectors];                                                                                  \
     UNROLL for (int row = 0; row < 4; row++) {                                                               \
-      UNROLL for (int v = 0; v < (vectors); v++) sum[row][v] =                                               \
-          _mm256_loadu_ps(c + (size_t)row * c_row + 8 * v);                                                  \
+      UNROLL for (int v = 0; v < (vectors); v++) sum[row][v] = _mm256_setzero_ps();                          \
     }                                                                                                        \
     for (size_t t = 0; t < depth; t++, a += a_step, b += b_row) {                                            \
       __m256 line[vectors];                                                                                  \
@@ -81,7 +80,8 @@ static void tile_avx512(uint32_t vectors, size_t depth, const float *a, size_t a
     }                                                                                                        \
     UNROLL for (int row = 0; row < 4; row++) {                                                               \
       UNROLL for (int v = 0; v < (vectors); v++)                                                             \
-          _mm256_storeu_ps(c + (size_t)row * c_row + 8 * v, sum[row][v]);                                    \
+          _mm256_storeu_ps(c + (size_t)row * c_row + 8 * v,                                                  \
+                           _mm256_add_ps(_mm256_loadu_ps(c + (size_t)row * c_row + 8 * v), sum[row][v]));    \
     }                                                                                                        \
   }
 DEFINE_TILE_AVX2(tile_avx2_16, 2)

@@ -158,6 +158,8 @@ btf_status btfi_svd_ritz(svd_state *s, size_t rows) {
   BTFI_TRY(eigen(s, inner, kept, width, s->ritz));
   s->found = 0;
   while (s->found < kept && s->ritz[s->found] > resolution * s->ritz[0] && s->ritz[s->found] > 0) s->found++;
+  /* A direction that C holds no more of than rounding is not one, however clear it looks when magnified. */
+  while (s->found > 0 && !(s->ritz_before[s->found - 1] > resolution * s->ritz_before[0])) s->found--;
 
   memset(s->left, 0, matrix * sizeof(double));
   memset(s->right, 0, matrix * sizeof(double));
