@@ -478,14 +478,20 @@ static void descriptions_are_checked(void **state) {
   unknown_size.struct_size = 3;
   assert_status(btf_dataset_create(ctx, &unknown_size, &ds), BTF_E_ABI);
   assert_status(btf_dataset_create(ctx, NULL, &ds), BTF_E_INVALID_ARG);
+  assert_int_equal(releases, 17); /* what cannot be read stays the caller's */
   assert_status(btf_dataset_create(NULL, &good, &ds), BTF_E_INVALID_ARG);
+  assert_int_equal(releases, 18);
+  assert_status(btf_dataset_create(ctx, &good, NULL), BTF_E_INVALID_ARG);
+  assert_int_equal(releases, 19);
+  assert_status(btf_dataset_create(NULL, &unknown_size, &ds), BTF_E_INVALID_ARG);
+  assert_int_equal(releases, 19);
   assert_ok(btf_dataset_create(ctx, &good, &ds));
-  assert_int_equal(releases, 17);
+  assert_int_equal(releases, 19);
   assert_ptr_equal(btf_dataset_retain(ds), ds);
   btf_dataset_release(ds);
-  assert_int_equal(releases, 17);
+  assert_int_equal(releases, 19);
   btf_dataset_release(ds);
-  assert_int_equal(releases, 18);
+  assert_int_equal(releases, 20);
   btf_dataset_release(NULL);
   test_cube_free(&cube);
   test_context_done(ctx, &memory);

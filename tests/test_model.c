@@ -385,6 +385,11 @@ static void texel_and_level(void **state) {
         {{100.0f, 0.0f}, {0.0f, 0.0f}, 4.0f},
         {{NAN, 0.0f}, {0.0f, 0.0f}, 0.0f},
         {{INFINITY, 0.0f}, {0.0f, 0.0f}, 4.0f},
+        {{0.0f, 0.5f}, {NAN, 0.0f}, 0.0f}, /* NaN anywhere counts, whatever the rest */
+        {{0.0f, 0.5f}, {0.0f, NAN}, 0.0f},
+        {{NAN, 0.5f}, {0.5f, 0.5f}, 0.0f},
+        {{INFINITY, NAN}, {0.5f, 0.0f}, 0.0f},
+        {{0.5f, 0.0f}, {NAN, -INFINITY}, 0.0f},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
       assert_near(btf_model_lod(raw, cases[i].x, cases[i].y), cases[i].lod, 1e-6);

@@ -128,7 +128,7 @@ typedef struct btf_context_desc {
   void *log_user;
   btf_parallel_fn parallel; /**< the host's thread pool; NULL = one built in, started on first use */
   void *parallel_user;
-  uint32_t max_threads; /**< most threads at once, 0 = number of processors; also bounds `thread` of tasks */
+  uint32_t max_threads; /**< most threads at once, up to 1024; 0 = number of processors; also bounds `thread` of tasks */
   uint32_t flags;       /**< must be 0 */
   const char *isa;      /**< caps the vector instructions: "scalar", "avx2", "avx512", "neon"; NULL = the best */
 } btf_context_desc;
@@ -137,7 +137,7 @@ typedef struct btf_context_desc {
 
 /** Creates a context with the built-in codecs registered. Call through the macro, which passes the header's ABI
  *  number so that a mismatch between header and library is an error and not a crash.
- *  Errors: BTF_E_ABI, BTF_E_INVALID_ARG (unknown isa), BTF_E_NOMEM. Threads: free. */
+ *  Errors: BTF_E_ABI, BTF_E_INVALID_ARG (unknown isa, more than 1024 threads), BTF_E_NOMEM. Threads: free. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_context_create_abi(uint32_t abi, const btf_context_desc *desc,
                                                               btf_context **out);
 #define btf_context_create(desc, out) btf_context_create_abi(LIBBTF_ABI, (desc), (out))

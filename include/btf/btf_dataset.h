@@ -126,8 +126,9 @@ typedef struct btf_dataset_desc {
         NULL                                                                                                 \
   }
 
-/** Creates a data set from a description. Errors: BTF_E_INVALID_ARG, BTF_E_LIMIT, BTF_E_ABI, BTF_E_NOMEM.
- *  Threads: free. */
+/** Creates a data set from a description. What desc->user stands for is the library's from here on: `release` is
+ *  called once, when the data set goes or before a failure returns. Only a description that cannot be read, since its
+ *  struct_size is wrong, leaves it with the caller. Errors: BTF_E_INVALID_ARG, BTF_E_LIMIT, BTF_E_ABI, BTF_E_NOMEM. Threads: free. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_dataset_create(btf_context *ctx, const btf_dataset_desc *desc,
                                                           btf_dataset **out);
 

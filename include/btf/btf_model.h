@@ -149,7 +149,7 @@ LIBBTF_API void btf_model_texel(const btf_model *model, uint32_t level, uint32_t
 
 /** Level of detail for a footprint: duvdx and duvdy are the derivatives of uv along the two screen axes.
  *  lod = log2(max(length of duvdx, length of duvdy)) in finest texels, clamped to 0 .. levels - 1
- *  (Schwartz 2013, eq. 2, with the Euclidean norm). Threads: const. */
+ *  (Schwartz 2013, eq. 2, with the Euclidean norm); 0 if any derivative is NaN. Threads: const. */
 LIBBTF_API float btf_model_lod(const btf_model *model, const float duvdx[2], const float duvdy[2]);
 
 /** Draws a light direction for query->view from the numbers xi in [0,1): writes the direction and

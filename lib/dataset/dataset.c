@@ -252,9 +252,16 @@ btf_status btfi_dataset_make(btf_context *ctx, const btf_dataset_desc *desc, con
 btf_status btf_dataset_create(btf_context *ctx, const btf_dataset_desc *desc, btf_dataset **out) {
   btf_dataset_desc own;
   if (out) *out = NULL;
-  if (!ctx || !desc || !out)
+  if (!ctx || !desc || !out) {
+    /* What the description owns passes to the library whatever fails. */
+    if (desc &&
+        btfi_copy_in(ctx, "btf_dataset_desc", &own, sizeof own, BTFI_SIZE_TO(btf_dataset_desc, view_lights),
+                     desc) == BTF_OK &&
+        own.release)
+      own.release(own.user);
     return btfi_fail(ctx, BTF_E_INVALID_ARG,
                      "btf_dataset_create: context, description and result must not be NULL");
+  }
   BTFI_TRY(btfi_copy_in(ctx, "btf_dataset_desc", &own, sizeof own,
                         BTFI_SIZE_TO(btf_dataset_desc, view_lights), desc));
   return btfi_dataset_make(ctx, &own, NULL, NULL, out);

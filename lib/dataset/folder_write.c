@@ -16,9 +16,13 @@
 #define SAMPLES_FILE "samples.bin"
 enum { scratch_bytes = 4 << 20 };
 
+/* `path` lies in the temporary folder, but the caller knows only the folder it is to become. */
 static btf_status fail_io(const btf_dataset_writer *w, const char *path, const char *problem) {
   const int code = errno;
-  return btfi_fail(w->ctx, BTF_E_IO, "%s: %s: %s", path, problem, strerror(code));
+  size_t folder = strlen(w->path);
+  while (folder > 1 && w->path[folder - 1] == '/') --folder;
+  return btfi_fail(w->ctx, BTF_E_IO, "%.*s%s: %s: %s", (int)folder, w->path, path + strlen(w->temporary),
+                   problem, strerror(code));
 }
 
 btf_status btfi_writer_pwrite(const btf_dataset_writer *w, const void *src, uint64_t n, uint64_t offset) {

@@ -180,10 +180,12 @@ void btf_model_texel(const btf_model *model, uint32_t level, uint32_t x, uint32_
 
 float btf_model_lod(const btf_model *model, const float duvdx[2], const float duvdy[2]) {
   const float width = (float)model->width, height = (float)model->height;
+  /* hypotf of an infinity and NaN is infinite. */
+  if (isnan(duvdx[0]) || isnan(duvdx[1]) || isnan(duvdy[0]) || isnan(duvdy[1])) return 0.0f;
   const float along_x = hypotf(duvdx[0] * width, duvdx[1] * height);
   const float along_y = hypotf(duvdy[0] * width, duvdy[1] * height);
   const float last = (float)(model->levels - 1);
-  /* Comparisons that are false for NaN and for the logarithm of 0. */
+  /* False for the logarithm of 0. */
   const float lod = log2f(along_x > along_y ? along_x : along_y);
   if (!(lod > 0.0f)) return 0.0f;
   return lod < last ? lod : last;
