@@ -17,7 +17,8 @@ typedef struct sums {
   uint64_t different, ssim_images;
   double *texel_squared; /* for each texel */
   float *error;          /* one image */
-  float *grey_a, *grey_b, *scratch;
+  float *grey_a, *grey_b;
+  double *scratch; /* of ssim_mean */
 } sums;
 
 typedef struct comparison {
@@ -174,7 +175,7 @@ static int make_room(comparison *m, uint32_t threads, uint64_t pairs) {
     s->error = malloc(texels * r->channels * sizeof(float));
     s->grey_a = malloc(texels * sizeof(float));
     s->grey_b = malloc(texels * sizeof(float));
-    s->scratch = malloc(ssim_scratch(r->width, r->height) * sizeof(float));
+    s->scratch = malloc(ssim_scratch(r->width, r->height) * sizeof(double));
     if (s->texel_squared == NULL || s->error == NULL || s->grey_a == NULL || s->grey_b == NULL ||
         s->scratch == NULL)
       return cli_out_of_memory();

@@ -30,8 +30,8 @@ int metrics_compare(cli *c, const sample_source *reference, const sample_source 
 const char *metrics_shape_difference(const sample_source *a, const sample_source *b);
 
 /* Mean structural similarity of two images of values in 0..1: Gaussian windows of 11 x 11 with sigma 1.5 that
- * wrap around, k1 = 0.01, k2 = 0.03. scratch holds ssim_scratch floats. */
+ * wrap around, k1 = 0.01, k2 = 0.03. scratch holds ssim_scratch doubles. */
 size_t ssim_scratch(uint32_t width, uint32_t height);
-double ssim_mean(const float *a, const float *b, uint32_t width, uint32_t height, float *scratch);
+double ssim_mean(const float *a, const float *b, uint32_t width, uint32_t height, double *scratch);
 
 #endif

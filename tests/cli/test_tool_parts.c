@@ -387,16 +387,24 @@ static void ssim_is_what_its_definition_says(void **state) {
   for (size_t s = 0; s < sizeof sizes / sizeof *sizes; s++) {
     const int width = sizes[s][0], height = sizes[s][1], pixels = width * height;
     float *a = malloc(sizeof(float) * (size_t)pixels), *b = malloc(sizeof(float) * (size_t)pixels);
-    float *scratch = malloc(sizeof(float) * ssim_scratch((uint32_t)width, (uint32_t)height));
+    double *scratch = malloc(sizeof(double) * ssim_scratch((uint32_t)width, (uint32_t)height));
     assert_true(a != NULL && b != NULL && scratch != NULL);
     for (int i = 0; i < pixels; i++) {
       a[i] = (float)(next_random() % 1000) / 999;
       b[i] = 0.7f * a[i] + 0.3f * (float)(next_random() % 1000) / 999;
     }
-    /* Variances are differences of float sums of about 1: errors of some 1e-7 beside 9e-4. */
+    /* Variances are differences of sums of about 1 with 22 roundings: errors of some 1e-14 beside 9e-4. */
     assert_near(ssim_mean(a, b, (uint32_t)width, (uint32_t)height, scratch),
-                ssim_by_definition(a, b, width, height), 1e-3);
+                ssim_by_definition(a, b, width, height), 1e-10);
     assert_true(ssim_mean(a, a, (uint32_t)width, (uint32_t)height, scratch) == 1);
+    /* Constant images: exactly 1 if equal, else what the means alone give, never above 1. */
+    for (int k = 1; k <= 100; k++) {
+      const double ma = (float)k / 100, mb = (float)k / 100 + 1e-3f * (float)(k % 7);
+      for (int i = 0; i < pixels; i++) a[i] = (float)ma, b[i] = (float)mb;
+      const double got = ssim_mean(a, b, (uint32_t)width, (uint32_t)height, scratch), b0 = b[0];
+      assert_near(got, (2 * ma * b0 + 1e-4) / (ma * ma + b0 * b0 + 1e-4), 1e-10);
+      assert_true(got <= 1 && (k % 7 != 0 || got == 1));
+    }
     free(a);
     free(b);
     free(scratch);
