@@ -66,6 +66,11 @@ static void built_in_sets(void **state) {
   }
   assert_status(btf_dirset_create_named(ctx, NULL, &set), BTF_E_INVALID_ARG);
   assert_status(btf_dirset_create_named(ctx, "grid:1024x1024", &set), BTF_E_LIMIT);
+  /* 2 pi / 1024 times the innermost elevation of pi / 4 / T: 0.0001004 rad for T = 48. */
+  assert_status(btf_dirset_create_named(ctx, "grid:1024x49", &set), BTF_E_INVALID_ARG);
+  assert_message_has("grid:1024x49: neighbours on its innermost ring are 9.8");
+  assert_ok(btf_dirset_create_named(ctx, "grid:1024x48", &set));
+  btf_dirset_release(set);
   test_context_done(ctx, &memory);
 }
 

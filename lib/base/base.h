@@ -132,8 +132,6 @@ typedef struct btfi_cursor {
   uint64_t size, position;
   bool overrun;
 } btfi_cursor;
-uint8_t btfi_get_u8(btfi_cursor *c);
-uint16_t btfi_get_u16(btfi_cursor *c);
 uint32_t btfi_get_u32(btfi_cursor *c);
 uint64_t btfi_get_u64(btfi_cursor *c);
 float btfi_get_f32(btfi_cursor *c);
@@ -152,7 +150,6 @@ void btfi_buffer_free(btfi_buffer *b);
 btf_status btfi_buffer_status(const btfi_buffer *b);
 void btfi_put_bytes(btfi_buffer *b, const void *src, uint64_t n);
 void btfi_put_u8(btfi_buffer *b, uint8_t v);
-void btfi_put_u16(btfi_buffer *b, uint16_t v);
 void btfi_put_u32(btfi_buffer *b, uint32_t v);
 void btfi_put_u64(btfi_buffer *b, uint64_t v);
 void btfi_put_f32(btfi_buffer *b, float v);

@@ -26,12 +26,6 @@ static uint64_t get_little_endian(btfi_cursor *c, int size) {
   return v;
 }
 
-uint8_t btfi_get_u8(btfi_cursor *c) {
-  return (uint8_t)get_little_endian(c, 1);
-}
-uint16_t btfi_get_u16(btfi_cursor *c) {
-  return (uint16_t)get_little_endian(c, 2);
-}
 uint32_t btfi_get_u32(btfi_cursor *c) {
   return (uint32_t)get_little_endian(c, 4);
 }
@@ -106,9 +100,6 @@ static void put_little_endian(btfi_buffer *b, uint64_t v, int size) {
 
 void btfi_put_u8(btfi_buffer *b, uint8_t v) {
   put_little_endian(b, v, 1);
-}
-void btfi_put_u16(btfi_buffer *b, uint16_t v) {
-  put_little_endian(b, v, 2);
 }
 void btfi_put_u32(btfi_buffer *b, uint32_t v) {
   put_little_endian(b, v, 4);

@@ -7,7 +7,6 @@
  * given so that sets survive a trip through a file unchanged. */
 #define LENGTH_TOLERANCE 1e-3
 #define SAME_LENGTH 1e-5
-#define SMALLEST_ANGLE 1e-4
 
 btf_context *btfi_dirset_context(const btf_dirset *set) {
   return set->ctx;
@@ -84,7 +83,7 @@ static btf_status check_run(const btf_dirset *set, uint32_t i, const btfi_keyed 
   for (; run->key <= last_key; run++) {
     if (run->item == i) continue;
     const double angle = angle_between(set->unit[i], set->unit[run->item]);
-    if (angle < SMALLEST_ANGLE)
+    if (angle < BTFI_SMALLEST_ANGLE)
       return btfi_fail(set->ctx, BTF_E_INVALID_ARG,
                        "directions %u and %u: %.3g rad apart, expected at least 0.0001 rad",
                        BTFI_MIN(i, run->item), BTFI_MAX(i, run->item), angle);
@@ -98,7 +97,7 @@ static btf_status refuse_duplicates(btf_dirset *set) {
   const uint32_t n = set->count;
   btfi_keyed *list = btfi_alloc(set->ctx, 2 * ((uint64_t)n + 1), sizeof *list);
   if (!list) return btfi_alloc_status();
-  const int32_t size = (int32_t)(SMALLEST_ANGLE * BTFI_UNITS) + 4;
+  const int32_t size = (int32_t)(BTFI_SMALLEST_ANGLE * BTFI_UNITS) + 4;
   for (uint32_t i = 0; i < n; i++) {
     const uint64_t column = (uint64_t)((set->point[i][0] + BTFI_DELAUNAY_RANGE) / size) + 1,
                    row = (uint64_t)((set->point[i][1] + BTFI_DELAUNAY_RANGE) / size) + 1;

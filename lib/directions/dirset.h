@@ -8,6 +8,9 @@
 
 #include <math.h>
 
+/* Directions of a set are at least this far apart, in radians. */
+#define BTFI_SMALLEST_ANGLE 1e-4
+
 /* Parabolic coordinates are rounded to multiples of 2^-24. Differences then have 26 bits, and cross and dot
  * products of two differences are exact in a double: which triangle holds a point is decided without error,
  * with or without fused multiply-add. */

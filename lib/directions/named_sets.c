@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-#include "directions/directions.h"
+#include "directions/dirset.h"
 
 #include <math.h>
 #include <string.h>
@@ -51,6 +51,15 @@ static btf_status create_grid(btf_context *ctx, uint32_t azimuths, uint32_t elev
   if (count > most)
     return btfi_fail(ctx, BTF_E_LIMIT, "direction set grid:%ux%u: %llu directions, expected at most %u",
                      azimuths, elevations, (unsigned long long)count, most);
+  /* The ring nearest the normal has the closest neighbours. */
+  const double apart =
+      azimuths == 1 ? M_PI : 2.0 * asin(sin(M_PI / (4.0 * elevations)) * sin(M_PI / azimuths));
+  if (apart < BTFI_SMALLEST_ANGLE)
+    return btfi_fail(
+        ctx, BTF_E_INVALID_ARG,
+        "direction set grid:%ux%u: neighbours on its innermost ring are %.3g rad apart, expected "
+        "at least %g rad",
+        azimuths, elevations, apart, BTFI_SMALLEST_ANGLE);
   float *xyz = btfi_alloc(ctx, count, 3 * sizeof *xyz), *end = xyz;
   if (!xyz) return btfi_alloc_status();
   for (uint32_t i = 0; i < elevations; i++)

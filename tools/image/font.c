@@ -76,7 +76,3 @@ void font_draw(image *picture, int64_t x, int64_t y, uint32_t scale, const float
           draw_square(picture, x + column * scale, y + row * scale, scale, rgb);
   }
 }
-
-uint32_t font_text_width(const char *text, uint32_t scale) {
-  return (uint32_t)strlen(text) * FONT_WIDTH * scale;
-}

@@ -57,6 +57,5 @@ float tone_percentile(const image *picture, double fraction);
 enum { FONT_WIDTH = 6, FONT_HEIGHT = 8 }; /* of one character with its gap, at scale 1 */
 /* Writes text with its top left corner at (x, y). Characters beyond ASCII show as '?'. */
 void font_draw(image *picture, int64_t x, int64_t y, uint32_t scale, const float rgb[3], const char *text);
-uint32_t font_text_width(const char *text, uint32_t scale);
 
 #endif
