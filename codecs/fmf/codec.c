@@ -43,6 +43,13 @@ static uint64_t resident_bytes(const void *state) {
   return ((const btfi_fmf_state *)state)->resident;
 }
 
+/* A build that only evaluates has no singular value decomposition, and does not offer to fit. */
+#ifdef LIBBTF_FIT
+enum { fit_caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT };
+#else
+enum { fit_caps = 0 };
+#endif
+
 extern const btf_codec_vtbl btf_codec_fmf;
 const btf_codec_vtbl btf_codec_fmf = {
     .struct_size = sizeof(btf_codec_vtbl),
@@ -50,12 +57,13 @@ const btf_codec_vtbl btf_codec_fmf = {
     .id = "fmf",
     .title = "full matrix factorisation (truncated SVD of all ABRDFs)",
     .version = "1",
-    .caps =
-        BTF_CAP_FIT | BTF_CAP_STREAM_FIT | BTF_CAP_BATCH | BTF_CAP_LOD | BTF_CAP_LINEAR | BTF_CAP_HARDENED,
+    .caps = fit_caps | BTF_CAP_BATCH | BTF_CAP_LOD | BTF_CAP_LINEAR | BTF_CAP_HARDENED,
     .params = params,
     .format_read_min = 1,
     .format_write = 1,
+#ifdef LIBBTF_FIT
     .fit = btfi_fmf_fit,
+#endif
     .load = btfi_fmf_load,
     .destroy = btfi_fmf_destroy,
     .levels = level_count,
