@@ -73,9 +73,18 @@ static uint64_t bytes_touched(const btf_dataset *ds, const btf_block *b) {
   return (uint64_t)b->height * b->width * BTFI_MAX(around, (uint64_t)s->light * b->lights);
 }
 
+/* Bytes of mapping that may stay; 0 = all. A read that uses little of what it touches comes back to the same
+ * pages soon: giving those back would cost far more than they weigh. */
+static uint64_t pages_to_keep(const btf_dataset *ds, const btf_block *b) {
+  const uint64_t kept = atomic_load(&ds->pages_kept);
+  const uint64_t used =
+      (uint64_t)b->lights * b->height * b->width * ds->desc.channels * btfi_sample_size(ds->desc.sample_type);
+  return kept != 0 && bytes_touched(ds, b) <= 2 * used ? kept : 0;
+}
+
 /* Views of a block that may be read before pages have to go; all of them without a budget. */
 static uint32_t views_at_once(const btf_dataset *ds, const btf_block *b) {
-  const uint64_t kept = atomic_load(&ds->pages_kept);
+  const uint64_t kept = pages_to_keep(ds, b);
   if (kept == 0 || b->views == 0) return b->views;
   const uint64_t views = kept / 2 / BTFI_MAX(bytes_touched(ds, b), 1);
   return (uint32_t)BTFI_MIN(BTFI_MAX(views, 1), b->views);
@@ -83,7 +92,7 @@ static uint32_t views_at_once(const btf_dataset *ds, const btf_block *b) {
 
 static void let_go_of_pages(const btf_dataset *ds, const btf_block *b) {
   atomic_ullong *count = (atomic_ullong *)(uintptr_t)&ds->bytes_touched;
-  const uint64_t kept = atomic_load(&ds->pages_kept);
+  const uint64_t kept = pages_to_keep(ds, b);
   if (kept == 0) return;
   const uint64_t bytes = b->views * bytes_touched(ds, b);
   if (atomic_fetch_add(count, bytes) + bytes <= kept / 2) return;
