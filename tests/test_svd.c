@@ -490,7 +490,9 @@ static void test_tiny_residual(void **state) {
     btf_svd_result r = fresh();
     if (tight) desc.max_working_set = smallest_budget(ctx, desc) + 100000;
     assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
-    assert_relative(r.residual, optimum(&m, 40), 2e-3);
+    /* Float sums of 200 terms err by some sqrt(200) * 2^-24 = 8e-7 of the first singular value, 6e-3 of those
+     * that the residual is made of, in either direction; its square, over dozens of them, keeps to 5e-3. */
+    assert_relative(r.residual, optimum(&m, 40), 5e-3);
     check_result(&m, &r);
     check_optimal(&m, &r, 1.001);
     btfi_svd_free(ctx, &r);
