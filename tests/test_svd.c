@@ -215,8 +215,9 @@ static void check_result(const matrix *m, const btf_svd_result *r) {
     assert_true(sum >= -1e-6);
   }
   /* A difference of energies is trusted to 1e-7 of the energy and used only for residuals above 1e-4 of it;
-   * smaller ones are sums of squared differences, exact to float's (6e-8)^2 of the energy. */
-  assert_near(r->residual, explicit_error(m, r), 2e-3 * r->residual + 1e-13 * m->energy);
+   * smaller ones are sums of squared differences, exact to float's (6e-8)^2 of the energy, and of squared
+   * Ritz values beyond the rank, whose float sums err by up to 6e-3 each where they are 1e-4 of the first. */
+  assert_near(r->residual, explicit_error(m, r), 5e-3 * r->residual + 1e-13 * m->energy);
 }
 
 static void check_optimal(const matrix *m, const btf_svd_result *r, double ratio) {
