@@ -5,11 +5,11 @@ set -eu
 cd "$1"
 passed=0
 failed=0
-order=(base io directions dataset svd container registry model)
+order=(base io directions dataset dense svd container registry model)
 allowed=""
 for layer in "${order[@]}"; do
   allowed="$allowed$layer|"
-  bad=$(grep -nE '#include "(base|io|directions|dataset|svd|container|registry|model)/' lib/"$layer"/*.[ch] | grep -vE "#include \"(${allowed%|})/" || true)
+  bad=$(grep -nE '#include "(base|io|directions|dataset|dense|svd|container|registry|model)/' lib/"$layer"/*.[ch] | grep -vE "#include \"(${allowed%|})/" || true)
   if [ -z "$bad" ]; then
     passed=$((passed + 1))
   else
@@ -20,8 +20,8 @@ for layer in "${order[@]}"; do
 done
 for folder in codecs tools examples; do
   case $folder in
-    codecs) bad=$(grep -rnE '#include [<"].*btf' codecs --include=*.[ch] | grep -vE '<btf/btf_(plugin|half|sampling)\.h>|test_|"btf_test\.h"' || true) ;;
-    *) bad=$(grep -rnE '#include "(\.\./)*(lib|base|io|directions|dataset|svd|container|registry|model)/' $folder --include=*.[ch] || true) ;;
+    codecs) bad=$(grep -rnE '#include [<"].*btf' codecs --include=*.[ch] | grep -vE '<btf/btf_(plugin|codec|half|sampling)\.h>|test_|"btf_test\.h"' || true) ;;
+    *) bad=$(grep -rnE '#include "(\.\./)*(lib|base|io|directions|dataset|dense|svd|container|registry|model)/' $folder --include=*.[ch] || true) ;;
   esac
   if [ -z "$bad" ]; then
     passed=$((passed + 1))

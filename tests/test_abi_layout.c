@@ -94,7 +94,7 @@ GROWABLE(btf_svd_desc, reserved, 88, 88);
 GROWABLE(btf_svd_result, residual, 56, 56);
 GROWABLE(btf_codec_vtbl, texel, 120, 120);
 GROWABLE(btf_plugin_info, reserved, 40, 40);
-GROWABLE(btf_host, mip_filter, 224, 224);
+GROWABLE(btf_host, mip_filter, 224, 272);
 
 AT(btf_codec_vtbl, abi, 4);
 AT(btf_plugin_info, abi, 4);

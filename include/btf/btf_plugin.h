@@ -77,6 +77,12 @@ typedef struct btf_svd_result {
   double residual;        /**< squared Frobenius error of the truncation */
 } btf_svd_result;
 
+/** Receives the ABRDF of texel (x, y) of a level: abrdf[(view * lights + light) * channels + channel]. Called from
+ *  tasks of `parallel`; `thread` is as there. It cannot fail: room it needs is made before, one for each thread. */
+typedef void (*btf_abrdf_fn)(void *user, uint32_t level, uint32_t x, uint32_t y, const float *abrdf, uint32_t thread);
+
+enum { BTF_TRANSPOSE_A = 1u << 0, BTF_TRANSPOSE_B = 1u << 1 };
+
 /** What the library offers a codec. Grows at its end only. */
 typedef struct btf_host {
   uint32_t struct_size, abi;
@@ -137,6 +143,27 @@ typedef struct btf_host {
   uint32_t (*mip_count)(uint32_t width, uint32_t height);
   btf_status (*mip_filter)(btf_context *ctx, const float *src, size_t src_ld, uint32_t width, uint32_t height,
                            uint32_t n, uint32_t level, float *dst, size_t dst_ld);
+
+  /* Hands every texel's ABRDF of one level of detail to `visit`, each once, in no particular order. The data set is
+   * read once, in blocks that fit max_working_set (0 = 1 GiB). Coarser levels are area averages as of mip_filter,
+   * summed in double. Progress goes from `from` to `to`. BTF_E_LIMIT names the budget that would do. */
+  btf_status (*visit_abrdfs)(btf_context *ctx, const btf_dataset *ds, uint32_t level, uint64_t max_working_set,
+                             btf_abrdf_fn visit, void *user, const btf_job *job, double from, double to,
+                             const char *stage);
+
+  /* Dense linear algebra through BLAS and LAPACK on row-major matrices; absent (BTF_E_UNSUPPORTED) in a build without
+   * fitting. They use threads of their own: large problems belong outside of tasks, small ones may be inside.
+   * gemm: c (m x n) = alpha op(a) op(b) + beta c, op transposes with BTF_TRANSPOSE_*; k is the inner size.
+   * gram: g (columns x columns, both halves) += a^T a, in float over short runs of rows and in double beyond.
+   * symmetric_eigen: a (n x n, both halves) becomes eigenvectors, one a row, of descending `values`.
+   * cholesky: a (n x n, its lower half) becomes L with a = L L^T; BTF_E_NUMERIC unless it is positive definite.
+   * cholesky_solve: solves L L^T x = b for `columns` right sides, b n x columns, in place. */
+  btf_status (*gemm)(btf_context *ctx, uint32_t flags, uint64_t m, uint64_t n, uint64_t k, float alpha, const float *a,
+                     size_t a_ld, const float *b, size_t b_ld, float beta, float *c, size_t c_ld);
+  btf_status (*gram)(btf_context *ctx, uint64_t rows, uint32_t columns, const float *a, size_t a_ld, double *g);
+  btf_status (*symmetric_eigen)(btf_context *ctx, uint32_t n, double *a, double *values);
+  btf_status (*cholesky)(btf_context *ctx, uint32_t n, double *a);
+  btf_status (*cholesky_solve)(btf_context *ctx, uint32_t n, const double *factor, uint32_t columns, double *b);
 } btf_host;
 
 /** A codec. Copied at registration; optional slots may be NULL. Grows at its end only. `state` is what load made.

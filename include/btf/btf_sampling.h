@@ -29,6 +29,13 @@ typedef struct btf_level_pair {
   float weight[2];
 } btf_level_pair;
 
+/** Up to eight texels of up to two levels, each with a weight above 0; the weights sum to 1. FROZEN. */
+typedef struct btf_texel_set {
+  uint32_t count;
+  uint32_t level[8], x[8], y[8];
+  float weight[8];
+} btf_texel_set;
+
 /** Texels along one side of a level: max(1, size >> level). */
 static inline uint32_t btf_sampling_level_size(uint32_t size, uint32_t level) {
   const uint32_t shifted = level < 32u ? size >> level : 0u;
@@ -104,6 +111,40 @@ static inline uint32_t btf_sampling_nearest_level(float lod, uint32_t levels) {
   const float clamped = lod > 0.0f ? (lod < (float)last ? lod : (float)last) : 0.0f;
   const uint32_t level = (uint32_t)(int32_t)(clamped + 0.5f);
   return level < last ? level : last;
+}
+
+/** The texels that a position and level of detail (or `nearest`) are made of, for codecs that evaluate each
+ * texel and blend the results. */
+static inline void btf_sampling_texels(const float uv[2], float lod, int nearest, uint32_t width,
+                                       uint32_t height, uint32_t wrap, uint32_t levels, btf_texel_set *out) {
+  btf_level_pair pair;
+  out->count = 0;
+  if (nearest) {
+    const uint32_t level = btf_sampling_nearest_level(lod, levels);
+    out->count = 1;
+    out->level[0] = level;
+    out->x[0] = btf_sampling_nearest(uv[0], btf_sampling_level_size(width, level), wrap);
+    out->y[0] = btf_sampling_nearest(uv[1], btf_sampling_level_size(height, level), wrap);
+    out->weight[0] = 1.0f;
+    return;
+  }
+  btf_sampling_levels(lod, levels, &pair);
+  for (int k = 0; k < 2; k++) {
+    btf_bilinear at;
+    if (!(pair.weight[k] > 0.0f)) continue;
+    btf_sampling_bilinear(uv[0], uv[1], btf_sampling_level_size(width, pair.level[k]),
+                          btf_sampling_level_size(height, pair.level[k]), wrap, &at);
+    for (int j = 0; j < 2; j++)
+      for (int i = 0; i < 2; i++) {
+        const float weight = pair.weight[k] * (at.wy[j] * at.wx[i]);
+        if (!(weight > 0.0f)) continue;
+        out->level[out->count] = pair.level[k];
+        out->x[out->count] = at.x[i];
+        out->y[out->count] = at.y[j];
+        out->weight[out->count] = weight;
+        out->count++;
+      }
+  }
 }
 
 #endif

@@ -6,7 +6,7 @@
 #include "base/base.h"
 #include "directions/directions.h"
 #include "io/io.h"
-#include <btf/btf_dataset.h>
+#include <btf/btf_plugin.h>
 
 btf_context *btfi_dataset_context(const btf_dataset *ds);
 /* The description inside, complete (names and color space filled in, `data` set when resident or mapped). */
@@ -44,5 +44,11 @@ static inline double btfi_mip_weight(const btfi_mip_span *span, uint32_t k) {
  * without gaps. Sums in double. */
 btf_status btfi_mip_filter(btf_context *ctx, const float *src, size_t src_ld, uint32_t width, uint32_t height,
                            uint32_t n, uint32_t level, float *dst, size_t dst_ld);
+
+/* ---- ABRDFs (visit.c): btf_host.visit_abrdfs ---- */
+
+btf_status btfi_visit_abrdfs(btf_context *ctx, const btf_dataset *ds, uint32_t level,
+                             uint64_t max_working_set, btf_abrdf_fn visit, void *user, const btf_job *job,
+                             double from, double to, const char *stage);
 
 #endif

@@ -1,11 +1,48 @@
 /* SPDX-License-Identifier: MIT */
 /* The host table: what codecs may call. */
+#include "dataset/dataset.h"
 #include "registry/registry.h"
 #ifdef LIBBTF_FIT
+#include "dense/dense.h"
 #include "svd/svd.h"
 #else
 
 #include <string.h>
+
+static btf_status evaluates_only(btf_context *ctx) {
+  return btfi_fail(ctx, BTF_E_UNSUPPORTED,
+                   "this build of libbtf evaluates only; it was made without LIBBTF_FIT");
+}
+
+static btf_status btfi_gemm(btf_context *ctx, uint32_t flags, uint64_t m, uint64_t n, uint64_t k, float alpha,
+                            const float *a, size_t a_ld, const float *b, size_t b_ld, float beta, float *c,
+                            size_t c_ld) {
+  (void)flags, (void)m, (void)n, (void)k, (void)alpha, (void)a, (void)a_ld, (void)b, (void)b_ld, (void)beta;
+  (void)c, (void)c_ld;
+  return evaluates_only(ctx);
+}
+
+static btf_status btfi_gram(btf_context *ctx, uint64_t rows, uint32_t columns, const float *a, size_t a_ld,
+                            double *g) {
+  (void)rows, (void)columns, (void)a, (void)a_ld, (void)g;
+  return evaluates_only(ctx);
+}
+
+static btf_status btfi_symmetric_eigen(btf_context *ctx, uint32_t n, double *a, double *values) {
+  (void)n, (void)a, (void)values;
+  return evaluates_only(ctx);
+}
+
+static btf_status btfi_cholesky(btf_context *ctx, uint32_t n, double *a) {
+  (void)n, (void)a;
+  return evaluates_only(ctx);
+}
+
+static btf_status btfi_cholesky_solve(btf_context *ctx, uint32_t n, const double *factor, uint32_t columns,
+                                      double *b) {
+  (void)n, (void)factor, (void)columns, (void)b;
+  return evaluates_only(ctx);
+}
 
 static btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *desc, const btf_job *job, double from,
                            double to, btf_svd_result *out) {
@@ -14,8 +51,7 @@ static btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *desc, const btf
   (void)from;
   (void)to;
   if (out != NULL) memset(out, 0, sizeof *out);
-  return btfi_fail(ctx, BTF_E_UNSUPPORTED,
-                   "this build of libbtf evaluates only; it was made without LIBBTF_FIT");
+  return evaluates_only(ctx);
 }
 
 static void btfi_svd_free(btf_context *ctx, btf_svd_result *result) {
@@ -54,6 +90,12 @@ static const btf_host host = {
     .svd_free = btfi_svd_free,
     .mip_count = btfi_mip_count,
     .mip_filter = btfi_mip_filter,
+    .visit_abrdfs = btfi_visit_abrdfs,
+    .gemm = btfi_gemm,
+    .gram = btfi_gram,
+    .symmetric_eigen = btfi_symmetric_eigen,
+    .cholesky = btfi_cholesky,
+    .cholesky_solve = btfi_cholesky_solve,
 };
 
 const btf_host *btfi_host(void) {

@@ -1,0 +1,91 @@
+/* SPDX-License-Identifier: MIT */
+/*
+ * btf_codec.h: what nearly every codec writes in the same way, inline: status passing, parameter
+ * descriptions, little-endian fields of a payload, repeatable random numbers. btf_plugin.h has the interface
+ * itself.
+ */
+#ifndef LIBBTF_BTF_CODEC_H
+#define LIBBTF_BTF_CODEC_H
+
+#include <string.h>
+
+#include "btf_plugin.h"
+
+/** Returns the status of an expression to the caller unless it is BTF_OK. */
+#define BTF_TRY(expression)                                                                                  \
+  do {                                                                                                       \
+    const btf_status btf_try_status_ = (expression);                                                         \
+    if (btf_try_status_ != BTF_OK) return btf_try_status_;                                                   \
+  } while (0)
+
+/** Defines the description `id` of the parameter of that name. `choices` is a NULL-terminated list or NULL.
+ */
+#define BTF_PARAM(id, type, summary, unit, default_text, choices, minimum, maximum)                          \
+  static const btf_param_desc id = {                                                                         \
+      sizeof(btf_param_desc), #id, summary, unit, default_text, choices, minimum, maximum, (type), 0}
+
+/* ---- little-endian fields ---- */
+
+static inline void btf_put_u32(unsigned char *dst, uint32_t value) {
+  for (int i = 0; i < 4; i++) dst[i] = (unsigned char)(value >> (8 * i));
+}
+
+static inline uint32_t btf_get_u32(const unsigned char *src) {
+  return (uint32_t)src[0] | (uint32_t)src[1] << 8 | (uint32_t)src[2] << 16 | (uint32_t)src[3] << 24;
+}
+
+static inline void btf_put_f32(unsigned char *dst, float value) {
+  uint32_t bits;
+  memcpy(&bits, &value, sizeof bits);
+  btf_put_u32(dst, bits);
+}
+
+static inline float btf_get_f32(const unsigned char *src) {
+  const uint32_t bits = btf_get_u32(src);
+  float value;
+  memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+static inline void btf_put_f64(unsigned char *dst, double value) {
+  uint64_t bits;
+  memcpy(&bits, &value, sizeof bits);
+  btf_put_u32(dst, (uint32_t)bits);
+  btf_put_u32(dst + 4, (uint32_t)(bits >> 32));
+}
+
+static inline double btf_get_f64(const unsigned char *src) {
+  const uint64_t bits = (uint64_t)btf_get_u32(src) | (uint64_t)btf_get_u32(src + 4) << 32;
+  double value;
+  memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+/** Fetches a chunk that must have exactly `size` bytes; BTF_E_CORRUPT names it and both sizes. */
+static inline btf_status btf_get_chunk(const btf_host *host, btf_context *ctx, btf_chunk_reader *payload,
+                                       const char *codec, uint32_t tag, uint32_t index, uint64_t size,
+                                       const void **data) {
+  uint64_t found;
+  BTF_TRY(host->get(payload, tag, index, data, &found));
+  if (found != size)
+    return host->fail(ctx, BTF_E_CORRUPT, "%s: chunk %c%c%c%c %u has %llu bytes instead of %llu", codec,
+                      (int)(tag & 0x7f), (int)(tag >> 8 & 0x7f), (int)(tag >> 16 & 0x7f),
+                      (int)(tag >> 24 & 0x7f), index, (unsigned long long)found, (unsigned long long)size);
+  return BTF_OK;
+}
+
+/* ---- random numbers (splitmix64): the same seed gives the same choices everywhere ---- */
+
+static inline uint64_t btf_random_u64(uint64_t *state) {
+  uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
+  z = (z ^ z >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
+  z = (z ^ z >> 27) * UINT64_C(0x94d049bb133111eb);
+  return z ^ z >> 31;
+}
+
+/** Uniform in [0, 1). */
+static inline double btf_random_unit(uint64_t *state) {
+  return (double)(btf_random_u64(state) >> 11) * (1.0 / 9007199254740992.0);
+}
+
+#endif
