@@ -43,6 +43,18 @@ static uint64_t resident_bytes(const void *state) {
   return ((const btfi_fmf_state *)state)->resident;
 }
 
+/* Rows of U hold the channels of a pair of directions beside each other. */
+static void cost(const void *state, uint32_t flags, btf_eval_cost *out) {
+  const btfi_fmf_layout *layout = &((const btfi_fmf_state *)state)->layout;
+  const bool nearest = (flags & BTF_QUERY_NEAREST) != 0;
+  const double pairs = flags & BTF_COST_SHARED_DIRECTIONS ? 0 : nearest ? 1 : 9, texels = nearest ? 1 : 4;
+  const double columns = layout->columns, channels = layout->channels;
+  out->rows = pairs + texels;
+  out->values = (pairs * channels + texels) * columns;
+  out->bytes = out->values * btfi_fmf_value_bytes(layout->storage);
+  out->flops = 2 * (out->values + channels * columns);
+}
+
 /* A build that only evaluates has no singular value decomposition, and does not offer to fit. */
 #ifdef LIBBTF_FIT
 enum { fit_caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT };
@@ -71,4 +83,5 @@ const btf_codec_vtbl btf_codec_fmf = {
     .eval = btfi_fmf_eval,
     .eval_n = btfi_fmf_eval_n,
     .texel = btfi_fmf_texel,
+    .cost = cost,
 };

@@ -220,3 +220,13 @@ btf_status btf_model_describe(const btf_model *model, btf_model_info *io) {
   return btfi_copy_out(model->ctx, "btf_model_info", io, BTFI_SIZE_TO(btf_model_info, texels_per_mm), &info,
                        sizeof info);
 }
+
+btf_status btf_model_cost(const btf_model *model, uint32_t flags, btf_eval_cost *io) {
+  btf_eval_cost cost = BTF_EVAL_COST_INIT;
+  if (model == NULL) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_model_cost: the model must not be NULL");
+  if (flags & ~(uint32_t)(BTF_QUERY_NEAREST | BTF_COST_SHARED_DIRECTIONS))
+    return btfi_fail(model->ctx, BTF_E_INVALID_ARG, "btf_model_cost: unknown flags %#x", flags);
+  if (model->vtbl->cost != NULL) model->vtbl->cost(model->state, flags, &cost);
+  return btfi_copy_out(model->ctx, "btf_eval_cost", io, BTFI_SIZE_TO(btf_eval_cost, flops), &cost,
+                       sizeof cost);
+}
