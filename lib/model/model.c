@@ -46,6 +46,11 @@ static btf_status check_format(btf_context *ctx, const btf_codec_vtbl *v, uint32
   return BTF_OK;
 }
 
+/* A codec sees only that it got no memory; whether a limit forbade it or there was none is known here. */
+static btf_status allocation_status(btf_status of_codec) {
+  return of_codec == BTF_E_NOMEM ? btfi_alloc_status() : of_codec;
+}
+
 btf_status btfi_model_from_payload(const btf_codec *codec, btfi_payload *payload, btf_model **out) {
   const btf_codec_vtbl *v = btfi_codec_vtbl(codec);
   const btfi_model_header *h = btfi_payload_header(payload);
@@ -58,8 +63,8 @@ btf_status btfi_model_from_payload(const btf_codec *codec, btfi_payload *payload
   btfi_payload_retain(payload);
   model->payload = payload;
   set_shape(model, h->lights, h->views, h->width, h->height, h->channels, h->quantity, h->wrap);
-  status =
-      v->load(btfi_host(), ctx, h->codec_format, &model->shape, btfi_payload_reader(payload), &model->state);
+  status = allocation_status(
+      v->load(btfi_host(), ctx, h->codec_format, &model->shape, btfi_payload_reader(payload), &model->state));
   if (status == BTF_OK) {
     model->vtbl = v;
     status = check_levels(model);
@@ -99,7 +104,8 @@ static btf_status fit_payload(const btf_dataset *ds, const btf_codec *codec, con
     BTFI_TRY(btf_options_create(codec, &defaults));
     options = defaults;
   }
-  status = v->fit(btfi_host(), ctx, ds, options, &running.desc, btfi_payload_writer(payload));
+  status =
+      allocation_status(v->fit(btfi_host(), ctx, ds, options, &running.desc, btfi_payload_writer(payload)));
   btf_options_release(defaults);
   btfi_payload_seal(payload);
   return status;
