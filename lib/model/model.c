@@ -125,10 +125,10 @@ btf_status btf_model_fit(const btf_dataset *ds, const btf_codec *codec, const bt
   if (job != NULL && job->struct_size >= BTFI_SIZE_TO(btf_job, max_working_set))
     budget = job->max_working_set;
   BTFI_TRY(btfi_payload_create(ctx, ds, btf_codec_id(codec), btfi_codec_vtbl(codec)->format_write, &payload));
-  /* A small budget of the caller's holds for the data's mapping as well. */
-  btfi_dataset_limit_pages(ds, budget < UINT64_C(1) << 30 ? budget : 0);
+  /* A small budget of the caller's holds for reading the data as well. */
+  btfi_dataset_limit_memory(ds, budget < UINT64_C(1) << 30 ? budget : 0);
   status = fit_payload(ds, codec, options, job, payload);
-  btfi_dataset_limit_pages(ds, 0);
+  btfi_dataset_limit_memory(ds, 0);
   /* Loading what a file would hold makes the fresh model and the stored one the same. */
   if (status == BTF_OK) status = btfi_model_from_payload(codec, payload, out);
   btfi_payload_release(payload);
