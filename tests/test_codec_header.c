@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: MIT */
 /* The inline helpers of btf_codec.h. */
-#include <btf/btf_codec.h> /* before cmocka, which makes `fail` a macro */
-
 #include "btf_test.h"
+
 #include "container/container.h"
 #include "registry/registry.h"
+
+#include <btf/btf_codec.h>
 
 static void fields_are_little_endian(void **state) {
   static const unsigned char four[] = {0x78, 0x56, 0x34, 0xf2};
