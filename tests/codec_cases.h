@@ -23,6 +23,8 @@ typedef struct codec_case {
   /* Largest root mean square error of decoded samples, relative to that of the data, over the materials that
    * are not refused; and of the coarser levels against area averages of the data. */
   double rmse, level_rmse;
+  /* What is added to `rmse` for values between the samples, against the data interpolated; 0 = 0.08. */
+  double between;
   /* Largest differences of evaluations as shares of the model's largest value: scalar against vector kernels;
    * models fitted by one and by two threads; fitted to resident and to streamed data. 0 = bit for bit. */
   double isa, threads, streamed;

@@ -287,7 +287,7 @@ static void progress_and_cancelling(const codec_case *row) {
 
 /* ---- memory ---- */
 
-/* The largest number in the message. */
+/* The largest size in the message, in bytes or with a unit. */
 static uint64_t named_size(void) {
   uint64_t largest = 0;
   for (const char *at = btf_error_message(); *at != '\0';) {
@@ -297,7 +297,11 @@ static uint64_t named_size(void) {
     }
     char *end;
     const uint64_t number = strtoull(at, &end, 10);
-    if (number > largest) largest = number;
+    const uint64_t unit = strncmp(end, " KiB", 4) == 0   ? UINT64_C(1) << 10
+                          : strncmp(end, " MiB", 4) == 0 ? UINT64_C(1) << 20
+                          : strncmp(end, " GiB", 4) == 0 ? UINT64_C(1) << 30
+                                                         : 1;
+    if (number * unit > largest) largest = number * unit;
     at = end;
   }
   return largest;
