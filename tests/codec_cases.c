@@ -66,7 +66,7 @@ const codec_case codec_cases[] = {
      .slack = 1024 * KIB},
 
     {.codec = "cmf",
-     .options = "",
+     .options = "edge=8,resolution=8,codebook=8",
      .channels = ANY,
      .faults = 1,
      .rmse = 0.15,
