@@ -164,21 +164,22 @@ static void weigh_some(void *job, uint32_t index, uint32_t thread) {
   const uint64_t first = (uint64_t)index * TASK_POINTS;
   const uint64_t end = first + TASK_POINTS < w->count ? first + TASK_POINTS : w->count;
   (void)thread;
-  double left[LPCA_MAX_SUBSPACE];
   for (uint64_t i = first; i < end; i++) {
-    const float *mean = m->basis + (size_t)w->label[i] * (m->components + 1) * m->size;
+    const size_t at = (size_t)w->label[i] * (m->components + 1);
     const float *point = w->points + i * m->size;
-    for (uint32_t d = 0; d < m->size; d++) left[d] = (double)point[d] - (double)mean[d];
+    double error = m->mean_dot[at];
+    for (uint32_t d = 0; d < m->size; d++) {
+      const double away = (double)point[d];
+      error += away * (away - 2.0 * (double)m->basis[at * m->size + d]);
+    }
     for (uint32_t j = 0; j < m->components; j++) {
-      const float *row = mean + (size_t)(j + 1) * m->size;
-      double sum = 0.0;
-      for (uint32_t d = 0; d < m->size; d++) sum += (double)row[d] * left[d];
-      for (uint32_t d = 0; d < m->size; d++) left[d] -= sum * (double)row[d];
+      const float *row = m->basis + (at + j + 1) * m->size;
+      double sum = -m->mean_dot[at + j + 1];
+      for (uint32_t d = 0; d < m->size; d++) sum += (double)row[d] * (double)point[d];
+      error -= sum * sum;
       w->weights[i * m->components + j] = (float)sum;
     }
-    double error = 0.0;
-    for (uint32_t d = 0; d < m->size; d++) error += left[d] * left[d];
-    w->error[i] = (float)error;
+    w->error[i] = error > 0.0 ? (float)error : 0.0f;
   }
 }
 

@@ -330,7 +330,9 @@ static btf_status fit_all(fitting *f) {
     BTF_TRY(set_target(f, done));
   }
   BTF_TRY(find_coefficients(f, done, 0.5));
-  BTF_TRY(find_clusters(f, 0.5, 0.9));
+  BTF_TRY(find_clusters(f, 0.5, 0.8));
+  BTF_TRY(btfi_lpca_refine(&f->out, &f->model, f->ds, (uint32_t)host->option(f->options, "refine"),
+                           f->job->max_working_set, 0.8, 0.9));
   BTF_TRY(find_levels(f, 0.9, 0.94));
   BTF_TRY(host->progress(f->job, 0.94, "storing"));
   f->out.head.storage = f->out.layout.storage;
@@ -369,6 +371,7 @@ btf_status btfi_lpca_fit(const btf_host *host, btf_context *ctx, const btf_datas
     if (level > 0) host->free(ctx, f->out.level[level].label);
     host->free(ctx, f->out.level[level].weights);
   }
+  host->free(ctx, f->out.refined);
   btfi_lpca_model_free(&f->model);
   if (f->svd.struct_size != 0) host->svd_free(ctx, &f->svd);
   host->free(ctx, f->zeros);

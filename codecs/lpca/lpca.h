@@ -148,13 +148,20 @@ typedef struct btfi_lpca_writing {
   const float *vectors; /* rows of ABRDFs x size: the common basis */
   btfi_lpca_level level[LPCA_MAX_LEVELS];
   btfi_lpca_head head;
-  float *lifted;        /* ABRDFs of the cluster at hand, the mean and the components side by side */
-  float *center_basis;  /* its basis with the center in the mean */
+  float *lifted;       /* ABRDFs of the cluster at hand, the mean and the components side by side */
+  float *center_basis; /* its basis with the center in the mean */
+  float *refined;   /* of each cluster the ABRDFs of the mean and the components one after another, or NULL */
+  double *mean_dot; /* while refining: the mean times each of them */
   float *factor_scale;  /* of each cluster the mean and the components: what table values are multiplied by */
   float *weight_scale;  /* of each cluster the components */
   double storage_error; /* squared error that rounding adds */
 } btfi_lpca_writing;
 
+/* Replaces bases and the weights of the finest level by better ones in `passes` readings of the data, and the
+ * bases of the model by their part in the subspace. Needs memory for all bases twice; without it, everything
+ * stays. */
+btf_status btfi_lpca_refine(btfi_lpca_writing *w, btfi_lpca_model *m, const btf_dataset *ds, uint32_t passes,
+                            uint64_t max_working_set, double from, double to);
 /* Rounds everything: the squared error of storage and, with `tables`, the payload, whose head gains that
  * error. */
 btf_status btfi_lpca_write(btfi_lpca_writing *w, bool tables);

@@ -73,10 +73,16 @@ static btf_status lift_cluster(btfi_lpca_writing *w, uint32_t k, uint64_t member
   const uint64_t rows = l->pairs * w->layout.channels;
   float *basis = w->center_basis, *scale = w->factor_scale + (size_t)k * columns;
   float inverse[LPCA_MAX_COMPONENTS + 1];
-  memcpy(basis, m->basis + (size_t)k * columns * m->size, (size_t)columns * m->size * sizeof *basis);
-  for (uint32_t d = 0; d < m->size; d++) basis[d] += w->center[d];
-  BTF_TRY(w->host->gemm(w->ctx, BTF_TRANSPOSE_B, rows, columns, m->size, 1.0f, w->vectors, m->size, basis,
-                        m->size, 0.0f, w->lifted, columns));
+  if (w->refined != NULL) {
+    const float *refined = w->refined + k * columns * rows;
+    for (uint32_t j = 0; j < columns; j++)
+      for (uint64_t row = 0; row < rows; row++) w->lifted[row * columns + j] = refined[j * rows + row];
+  } else {
+    memcpy(basis, m->basis + (size_t)k * columns * m->size, (size_t)columns * m->size * sizeof *basis);
+    for (uint32_t d = 0; d < m->size; d++) basis[d] += w->center[d];
+    BTF_TRY(w->host->gemm(w->ctx, BTF_TRANSPOSE_B, rows, columns, m->size, 1.0f, w->vectors, m->size, basis,
+                          m->size, 0.0f, w->lifted, columns));
+  }
   BTF_TRY(w->host->parallel(w->ctx, STRIPES, find_largest, l));
   for (uint32_t j = 0; j < columns; j++) {
     scale[j] = 0.0f;
@@ -215,5 +221,6 @@ btf_status btfi_lpca_write(btfi_lpca_writing *w, bool tables) {
   host->free(w->ctx, w->factor_scale);
   host->free(w->ctx, w->weight_scale);
   host->free(w->ctx, w->center_basis);
+  w->center_basis = NULL;
   return status;
 }
