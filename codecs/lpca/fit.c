@@ -60,7 +60,7 @@ static uint64_t dimension_bytes(const fitting *f) {
   return sizeof(float) * (f->texels + f->texels / 4 + f->rows);
 }
 
-/* The subspace that is asked for, or what half the budget holds of the default one. */
+/* The subspace that is asked for, or what a quarter of the budget holds of the default one. */
 static btf_status choose_subspace(fitting *f) {
   const btf_host *host = f->host;
   const uint64_t most = f->rows < f->texels ? f->rows : f->texels, budget = f->job->max_working_set;
@@ -73,7 +73,7 @@ static btf_status choose_subspace(fitting *f) {
         (unsigned long long)size, LPCA_MAX_SUBSPACE);
   if (!host->option_is_set(f->options, "subspace")) {
     const uint64_t least = f->components + 8u < size ? f->components + 8u : size;
-    const uint64_t fits = budget / 2 / dimension_bytes(f);
+    const uint64_t fits = budget / 4 / dimension_bytes(f);
     size = fits < least ? least : fits < size ? fits : size;
   }
   if (size * dimension_bytes(f) > budget)
