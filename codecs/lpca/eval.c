@@ -27,6 +27,7 @@ static void tap_texels(const btfi_lpca_state *s, const float uv[2], float lod, i
   btf_texel_set set;
   btf_sampling_texels(uv, lod, nearest, s->layout.width, s->layout.height, s->wrap, s->layout.levels, &set);
   t->texels = 0;
+  memset(t->texel_weight, 0, sizeof t->texel_weight);
   for (uint32_t i = 0; i < set.count; i++) tap_texel(s, set.level[i], set.x[i], set.y[i], set.weight[i], t);
 }
 
@@ -54,7 +55,7 @@ static void tap_directions(const btfi_lpca_state *s, const btf_interp *light, co
 void btfi_lpca_eval(const void *state, const btf_query *query, float *out) {
   const btfi_lpca_state *s = state;
   const int nearest = (query->flags & BTF_QUERY_NEAREST) != 0;
-  btfi_lpca_taps t;
+  btfi_lpca_taps t = {.texels = 0};
   tap_texels(s, query->uv, query->lod, nearest, &t);
   if (nearest) {
     tap_row(s, s->host->dirset_nearest(s->light_set, query->light),
@@ -131,6 +132,15 @@ static void prefetch(const btfi_lpca_state *s, const btfi_lpca_taps *t) {
   }
 }
 
+/* What the query before uses is on its way. */
+static bool same_places(const btfi_lpca_taps *a, const btfi_lpca_taps *b) {
+  uint64_t differences = (a->rows ^ b->rows) | (a->texels ^ b->texels);
+  if (differences != 0) return false;
+  for (uint32_t r = 0; r < a->rows; r++) differences |= a->row[r] ^ b->row[r];
+  for (uint32_t i = 0; i < a->texels; i++) differences |= a->cluster[i] ^ b->cluster[i];
+  return differences == 0;
+}
+
 static void tap_query(batch_front *front, size_t q, btfi_lpca_taps *ring) {
   const btfi_lpca_state *s = front->state;
   const btf_batch *batch = front->batch;
@@ -146,20 +156,23 @@ static void tap_query(batch_front *front, size_t q, btfi_lpca_taps *ring) {
   } else {
     if (q == front->located) locate_more(front);
     const size_t i = q - front->first;
-    tap_directions(s, &front->light[front->light_run[i]], &front->view[front->view_run[i]], t);
+    const uint8_t *light_run = front->light_run + i, *view_run = front->view_run + i;
+    if (i > 0 && light_run[0] == light_run[-1] && view_run[0] == view_run[-1]) {
+      memcpy(t->row, before->row, sizeof t->row);
+      memcpy(t->row_weight, before->row_weight, sizeof t->row_weight);
+      t->rows = before->rows;
+    } else {
+      tap_directions(s, &front->light[*light_run], &front->view[*view_run], t);
+    }
   }
-  /* What the query before uses is on its way. */
-  if (q > 0 && t->rows == before->rows && t->texels == before->texels &&
-      memcmp(t->row, before->row, t->rows * sizeof *t->row) == 0 &&
-      memcmp(t->cluster, before->cluster, t->texels * sizeof *t->cluster) == 0)
-    return;
-  prefetch(s, t);
+  if (q == 0 || !same_places(t, before)) prefetch(s, t);
 }
 
 void btfi_lpca_eval_n(const void *state, const btf_batch *batch, float *const *out) {
   const btfi_lpca_state *s = state;
   float values[LPCA_MAX_CHANNELS];
   btfi_lpca_taps ring[RING];
+  memset(ring, 0, sizeof ring);
   batch_front front = {.state = s, .batch = batch};
   size_t tapped = 0;
   for (size_t q = 0; q < batch->count; q++) {

@@ -38,6 +38,12 @@ INLINE __m128 sum3(__m256 a, __m256 b, __m256 c) {
   return _mm_add_ps(_mm256_castps256_ps128(abc), _mm256_extractf128_ps(abc, 1));
 }
 
+INLINE float total_of(__m256 a) {
+  const __m128 four = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps(a, 1));
+  const __m128 two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+  return _mm_cvtss_f32(_mm_add_ss(two, _mm_shuffle_ps(two, two, 1)));
+}
+
 /* Three channels of components; fewer than three are counted by `many`, and the others read the first again.
  */
 #define DEFINE_SHADE(storage, value, factor_bytes, value_bytes)                                              \
@@ -71,27 +77,30 @@ INLINE __m128 sum3(__m256 a, __m256 b, __m256 c) {
     const uint32_t channels = s->layout.channels, padded = s->layout.padded;                                 \
     const uint64_t step = s->channel_bytes;                                                                  \
     _Alignas(32) float weight[LPCA_MAX_COMPONENTS];                                                          \
-    _Alignas(16) float sums[LPCA_MAX_CHANNELS + 8] = {0};                                                    \
+    _Alignas(32) float own[8];                                                                               \
+    const __m256i clusters = _mm256_loadu_si256((const __m256i *)(const void *)t->cluster);                  \
+    const __m256 texel_weights = _mm256_loadu_ps(t->texel_weight);                                           \
+    _Alignas(16) float sums[LPCA_MAX_CHANNELS + 8];                                                          \
     uint32_t left = (1u << t->texels) - 1;                                                                   \
     __m128 rgb = _mm_setzero_ps();                                                                           \
+    if (channels != 3) memset(sums, 0, sizeof sums);                                                         \
     while (left != 0) {                                                                                      \
       const uint32_t cluster = t->cluster[__builtin_ctz(left)];                                              \
       const float *scale = s->scales + (size_t)cluster * (padded + LPCA_LANES);                              \
       const unsigned char *factors = s->factors + cluster * s->layout.cluster_bytes;                         \
-      uint32_t mine = 0;                                                                                     \
-      float total = 0.0f;                                                                                    \
-      for (uint32_t i = 0; i < t->texels; i++) mine |= (uint32_t)(t->cluster[i] == cluster) << i;            \
-      left &= ~mine;                                                                                         \
-      for (uint32_t i = mine; i != 0; i &= i - 1) total += t->texel_weight[__builtin_ctz(i)];                \
+      /* Texels of other clusters count as 0: cheaper than unforeseeable branches. */                        \
+      const __m256i same = _mm256_cmpeq_epi32(clusters, _mm256_set1_epi32((int)cluster));                    \
+      const __m256 mine = _mm256_and_ps(_mm256_castsi256_ps(same), texel_weights);                           \
+      left &= ~(uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(same));                                      \
+      _mm256_store_ps(own, mine);                                                                            \
       for (uint32_t j = 0; j < padded; j += LPCA_LANES) {                                                    \
         __m256 v = _mm256_setzero_ps();                                                                      \
-        for (uint32_t i = mine; i != 0; i &= i - 1) {                                                        \
-          const uint32_t k = (uint32_t)__builtin_ctz(i);                                                     \
-          v = _mm256_fmadd_ps(_mm256_broadcast_ss(&t->texel_weight[k]),                                      \
-                              read_##value(t->weights[k] + (size_t)j * (value_bytes)), v);                   \
-        }                                                                                                    \
+        for (uint32_t i = 0; i < t->texels; i++)                                                             \
+          v = _mm256_fmadd_ps(_mm256_broadcast_ss(&own[i]),                                                  \
+                              read_##value(t->weights[i] + (size_t)j * (value_bytes)), v);                   \
         _mm256_store_ps(weight + j, _mm256_mul_ps(v, _mm256_loadu_ps(scale + j)));                           \
       }                                                                                                      \
+      const float total = total_of(mine);                                                                    \
       const __m128 mean_weight = _mm_set1_ps(total * scale[padded]);                                         \
       const unsigned char *means = factors + s->layout.mean_at;                                              \
       if (channels == 3) {                                                                                   \

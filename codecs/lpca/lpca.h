@@ -174,7 +174,8 @@ void btfi_lpca_destroy(const btf_host *host, btf_context *ctx, void *state);
 
 /* ---- evaluation (eval.c, kernel_*.c) ---- */
 
-/* Rows that a query blends, as offsets into a cluster's factors, and texels. None has weight 0. */
+/* Rows that a query blends, as offsets into a cluster's factors, and texels. None has weight 0 but those
+ * beyond the number of texels, which all have. */
 typedef struct btfi_lpca_taps {
   uint64_t row[9];
   float row_weight[9];
