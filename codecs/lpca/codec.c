@@ -42,6 +42,37 @@ static uint64_t resident_bytes(const void *state) {
   return ((const btfi_lpca_state *)state)->resident;
 }
 
+/* Clusters among the four texels of an interpolation, on the average over the finest level. */
+static double mean_clusters(const btfi_lpca_state *s) {
+  const uint32_t width = s->layout.width, height = s->layout.height;
+  const uint64_t wide = s->layout.index_bytes;
+  uint64_t sum = 0;
+  for (uint32_t y = 0; y < height; y++)
+    for (uint32_t x = 0; x < width; x++) {
+      uint64_t at[4];
+      for (uint32_t i = 0; i < 4; i++)
+        at[i] = wide * ((uint64_t)((y + i / 2) % height) * width + (x + i % 2) % width);
+      for (uint32_t i = 0; i < 4; i++) {
+        uint32_t seen = 0;
+        for (uint32_t k = 0; k < i; k++) seen |= memcmp(s->index[0] + at[k], s->index[0] + at[i], wide) == 0;
+        sum += seen == 0;
+      }
+    }
+  return (double)sum / ((double)width * height);
+}
+
+static void cost(const void *state, uint32_t flags, btf_eval_cost *out) {
+  const btfi_lpca_state *s = state;
+  const btfi_lpca_layout *l = &s->layout;
+  const bool nearest = (flags & BTF_QUERY_NEAREST) != 0;
+  const double taken = nearest ? 1.0 : mean_clusters(s), texels = nearest ? 1.0 : 4.0;
+  const double rows = taken * (nearest ? 1.0 : 9.0), row_values = (double)l->channels * (l->components + 1);
+  out->rows = rows + texels;
+  out->bytes = rows * (double)l->row_data_bytes + texels * (double)(l->texel_bytes + l->index_bytes);
+  out->values = rows * row_values + texels * l->components;
+  out->flops = 2.0 * (rows + taken) * row_values + 2.0 * texels * l->components;
+}
+
 /* A build that only evaluates has no linear algebra, and does not offer to fit. */
 #ifdef LIBBTF_FIT
 enum { fit_caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT };
@@ -70,4 +101,5 @@ const btf_codec_vtbl btf_codec_lpca = {
     .eval = btfi_lpca_eval,
     .eval_n = btfi_lpca_eval_n,
     .texel = btfi_lpca_texel,
+    .cost = cost,
 };
