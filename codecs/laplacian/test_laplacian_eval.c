@@ -339,7 +339,8 @@ static void test_lod_parameter(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-/* The largest step between neighbours on a sweep of the light, with nearest samples, averaged over positions.
+/* The largest step of luma between neighbours on a sweep of the light, with nearest samples, averaged over
+ * positions.
  */
 static double largest_step(const btf_model *model, float lod) {
   enum { POSITIONS = 25, STEPS = 1000 };
@@ -356,8 +357,9 @@ static double largest_step(const btf_model *model, float lod) {
                            BTF_QUERY_NEAREST};
       float got[3];
       btf_model_eval_as(model, &q, BTF_VALUE_STORED, got);
-      if (i > 0) largest = fmax(largest, fabs((double)got[0] - before));
-      before = got[0];
+      const float luma = btfi_laplacian_from_rgb(LAPLACIAN_Y, got[0], got[1], got[2]);
+      if (i > 0) largest = fmax(largest, fabs((double)luma - before));
+      before = luma;
     }
     sum += largest;
   }
