@@ -53,43 +53,34 @@ static float luma_mean(const btfi_laplacian_state *s, const float light[3], cons
 
 /* ---- texels ---- */
 
-static void tap_texels(const btfi_laplacian_state *s, uint32_t k, const uint32_t x[2], const float wx[2],
-                       const uint32_t y[2], const float wy[2], float level_weight,
-                       btfi_laplacian_rows *rows) {
-  const uint64_t texel_bytes = s->layout.texel_bytes[k], line_bytes = texel_bytes * s->grid.width[k];
-  uint32_t count = 0;
-  for (uint32_t i = 0; i < 4; i++) {
-    const float weight = level_weight * (wx[i & 1] * wy[i >> 1]);
-    rows->row[count] = s->weights[k] + y[i >> 1] * line_bytes + x[i & 1] * texel_bytes;
-    rows->weight[count] = weight;
-    count += weight != 0.0f;
-  }
-  rows->count = count;
-}
-
 /* Weights of all levels from `first` on, each where its values are in a row. */
 static void blend_weights(const btfi_laplacian_state *s, float u, float v, uint32_t first, float first_weight,
                           float *weights) {
   const btfi_laplacian_grid *grid = &s->grid;
-  uint32_t finest_x[2], finest_y[2], x[2], y[2];
-  float finest_wx[2], finest_wy[2], wx[2], wy[2];
+  const double share_x = btfi_laplacian_share(u, grid->wrap), share_y = btfi_laplacian_share(v, grid->wrap);
+  uint32_t finest_x[2] = {0, 0}, finest_y[2] = {0, 0};
+  float finest_wx[2] = {1.0f, 0.0f}, finest_wy[2] = {1.0f, 0.0f};
   if (grid->filter == LAPLACIAN_PAPER_FILTER) {
-    btf_sampling_linear(u, grid->width[0], grid->wrap, finest_x, finest_wx);
-    btf_sampling_linear(v, grid->height[0], grid->wrap, finest_y, finest_wy);
-  } else {
-    memset(finest_x, 0, sizeof finest_x);
-    memset(finest_y, 0, sizeof finest_y);
-    memset(finest_wx, 0, sizeof finest_wx);
-    memset(finest_wy, 0, sizeof finest_wy);
+    btfi_laplacian_linear(share_x, grid->width[0], grid->wrap, finest_x, finest_wx);
+    btfi_laplacian_linear(share_y, grid->height[0], grid->wrap, finest_y, finest_wy);
   }
   /* The kernels go on to whole vectors; where the last level has no values nobody writes there. */
   memset(weights + s->layout.first[grid->levels], 0, LAPLACIAN_SLACK * sizeof *weights);
   for (uint32_t k = first; k < grid->levels; k++) {
-    btfi_laplacian_rows rows;
-    btfi_laplacian_taps(grid, grid->width, k, u, finest_x, finest_wx, x, wx);
-    btfi_laplacian_taps(grid, grid->height, k, v, finest_y, finest_wy, y, wy);
-    tap_texels(s, k, x, wx, y, wy, k == first ? first_weight : 1.0f, &rows);
-    s->blend(&rows, s->layout.first[k + 1] - s->layout.first[k], weights + s->layout.first[k]);
+    const float level_weight = k == first ? first_weight : 1.0f;
+    const uint64_t texel_bytes = s->layout.texel_bytes[k], line_bytes = texel_bytes * grid->width[k];
+    uint32_t x[2], y[2];
+    float wx[2], wy[2];
+    btfi_laplacian_taps(grid, grid->width, k, share_x, finest_x, finest_wx, x, wx);
+    btfi_laplacian_taps(grid, grid->height, k, share_y, finest_y, finest_wy, y, wy);
+    const unsigned char *const lines[2] = {s->weights[k] + y[0] * line_bytes,
+                                           s->weights[k] + y[1] * line_bytes};
+    const unsigned char *const row[4] = {lines[0] + x[0] * texel_bytes, lines[0] + x[1] * texel_bytes,
+                                         lines[1] + x[0] * texel_bytes, lines[1] + x[1] * texel_bytes};
+    wy[0] *= level_weight;
+    wy[1] *= level_weight;
+    const float weight[4] = {wx[0] * wy[0], wx[1] * wy[0], wx[0] * wy[1], wx[1] * wy[1]};
+    s->blend4(row, weight, s->layout.first[k + 1] - s->layout.first[k], weights + s->layout.first[k]);
   }
 }
 

@@ -52,6 +52,21 @@
 DEFINE_BLEND(blend_f16, READ_F16, 2)
 DEFINE_BLEND(blend_f32, READ_F32, 4)
 
+#define DEFINE_BLEND4(name, READ, size)                                                                      \
+  TARGET static void name(const unsigned char *const row[4], const float weight[4], uint32_t n,              \
+                          float *dst) {                                                                      \
+    const __m256 w0 = _mm256_set1_ps(weight[0]), w1 = _mm256_set1_ps(weight[1]),                             \
+                 w2 = _mm256_set1_ps(weight[2]), w3 = _mm256_set1_ps(weight[3]);                             \
+    for (uint32_t i = 0; i < n; i += 8) {                                                                    \
+      const size_t at = (size_t)i * (size);                                                                  \
+      const __m256 a = _mm256_fmadd_ps(w1, READ(row[1] + at), _mm256_mul_ps(w0, READ(row[0] + at)));         \
+      const __m256 b = _mm256_fmadd_ps(w3, READ(row[3] + at), _mm256_mul_ps(w2, READ(row[2] + at)));         \
+      _mm256_storeu_ps(dst + i, _mm256_add_ps(a, b));                                                        \
+    }                                                                                                        \
+  }
+DEFINE_BLEND4(blend4_f16, READ_F16, 2)
+DEFINE_BLEND4(blend4_f32, READ_F32, 4)
+
 TARGET static void dot(const float *eigen, const float *weights, const float *scale, uint32_t stride,
                        uint32_t n, float out[3]) {
   const float *scale1 = scale + stride, *scale2 = scale1 + stride;
@@ -70,7 +85,7 @@ TARGET static void dot(const float *eigen, const float *weights, const float *sc
   out[2] = sums[2];
 }
 
-const btfi_laplacian_kernels btfi_laplacian_avx2 = {{blend_f16, blend_f32}, dot};
+const btfi_laplacian_kernels btfi_laplacian_avx2 = {{blend_f16, blend_f32}, {blend4_f16, blend4_f32}, dot};
 #else
 typedef int btfi_laplacian_no_avx2;
 #endif

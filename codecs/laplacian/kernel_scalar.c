@@ -16,21 +16,23 @@ static float read_f32(const unsigned char *row, uint32_t i) {
   return value;
 }
 
-static void blend_f16(const btfi_laplacian_rows *rows, uint32_t n, float *dst) {
-  for (uint32_t i = 0; i < n; i++) {
-    float sum = 0.0f;
-    for (uint32_t r = 0; r < rows->count; r++) sum += rows->weight[r] * read_f16(rows->row[r], i);
-    dst[i] = sum;
+#define DEFINE_BLEND(storage)                                                                                \
+  static float blend_value_##storage(const unsigned char *const *row, const float *weight, uint32_t count,   \
+                                     uint32_t i) {                                                           \
+    float sum = weight[0] * read_##storage(row[0], i);                                                       \
+    for (uint32_t r = 1; r < count; r++) sum += weight[r] * read_##storage(row[r], i);                       \
+    return sum;                                                                                              \
+  }                                                                                                          \
+  static void blend_##storage(const btfi_laplacian_rows *rows, uint32_t n, float *dst) {                     \
+    for (uint32_t i = 0; i < n; i++)                                                                         \
+      dst[i] = blend_value_##storage(rows->row, rows->weight, rows->count, i);                               \
+  }                                                                                                          \
+  static void blend4_##storage(const unsigned char *const row[4], const float weight[4], uint32_t n,         \
+                               float *dst) {                                                                 \
+    for (uint32_t i = 0; i < n; i++) dst[i] = blend_value_##storage(row, weight, 4, i);                      \
   }
-}
-
-static void blend_f32(const btfi_laplacian_rows *rows, uint32_t n, float *dst) {
-  for (uint32_t i = 0; i < n; i++) {
-    float sum = 0.0f;
-    for (uint32_t r = 0; r < rows->count; r++) sum += rows->weight[r] * read_f32(rows->row[r], i);
-    dst[i] = sum;
-  }
-}
+DEFINE_BLEND(f16)
+DEFINE_BLEND(f32)
 
 static void dot(const float *eigen, const float *weights, const float *scale, uint32_t stride, uint32_t n,
                 float out[3]) {
@@ -41,7 +43,7 @@ static void dot(const float *eigen, const float *weights, const float *scale, ui
   }
 }
 
-const btfi_laplacian_kernels btfi_laplacian_scalar = {{blend_f16, blend_f32}, dot};
+const btfi_laplacian_kernels btfi_laplacian_scalar = {{blend_f16, blend_f32}, {blend4_f16, blend4_f32}, dot};
 
 const btfi_laplacian_kernels *btfi_laplacian_kernels_of(uint32_t isa) {
 #if defined(__x86_64__)

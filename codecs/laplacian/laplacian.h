@@ -65,23 +65,40 @@ static inline btfi_laplacian_grid btfi_laplacian_grid_of(uint32_t filter, uint32
   return grid;
 }
 
-/* The one rule by which a band is read at a position, in the pyramid and in evaluation: linear between texels
- * of the band; with the paper's filter the texel that holds each of the two nearest finest texels. `finest`
- * are the linear taps of level 0. */
+/* Share of the way along an axis, 0 .. 1, below 1 unless clamped. Total, as all of btf_sampling.h. */
+static inline double btfi_laplacian_share(float u, uint32_t wrap) {
+  return btf_sampling_position(u, 1, wrap);
+}
+
+/* What btf_sampling_linear finds at that share of `size` texels, without branches: evaluation does this for
+ * every level, and which of two texels is nearer cannot be foreseen. */
+static inline void btfi_laplacian_linear(double share, uint32_t size, uint32_t wrap, uint32_t index[2],
+                                         float weight[2]) {
+  const double shifted = share * (double)size + 0.5, below_float = (double)size * (1.0 / 16777216.0);
+  const int32_t above = (int32_t)shifted;
+  const double fraction = shifted - (double)above;
+  const uint32_t last = size - 1u, clamp = wrap == (uint32_t)BTF_WRAP_CLAMP;
+  const uint32_t before = clamp ? 0u : last, past = clamp ? last : 0u;
+  const double snapped = fraction < below_float ? 0.0 : fraction > 1.0 - below_float ? 1.0 : fraction;
+  index[0] = above > 0 ? (uint32_t)above - 1u : before;
+  index[1] = (uint32_t)above < size ? (uint32_t)above : past;
+  weight[1] = (float)snapped;
+  weight[0] = 1.0f - weight[1];
+}
+
+/* The one rule by which a band is read, in the pyramid and in evaluation: linear between texels of the band;
+ * with the paper's filter the texel that holds each of the two nearest finest texels. `finest` are the linear
+ * taps of level 0, which that filter needs. */
 static inline void btfi_laplacian_taps(const btfi_laplacian_grid *grid, const uint32_t *sizes, uint32_t level,
-                                       float u, const uint32_t finest[2], const float finest_weight[2],
+                                       double share, const uint32_t finest[2], const float finest_weight[2],
                                        uint32_t index[2], float weight[2]) {
   if (grid->filter != LAPLACIAN_PAPER_FILTER) {
-    btf_sampling_linear(u, sizes[level], grid->wrap, index, weight);
+    btfi_laplacian_linear(share, sizes[level], grid->wrap, index, weight);
     return;
   }
   for (int i = 0; i < 2; i++) {
     index[i] = (uint32_t)((2 * (uint64_t)finest[i] + 1) * sizes[level] / (2 * (uint64_t)sizes[0]));
     weight[i] = finest_weight[i];
-  }
-  if (index[0] == index[1]) {
-    weight[0] = 1.0f;
-    weight[1] = 0.0f;
   }
 }
 
@@ -233,11 +250,15 @@ typedef struct btfi_laplacian_rows {
 
 /* dst[i] = sum of weight * row[i] for i < n, added in order. May write LAPLACIAN_SLACK - 1 values more. */
 typedef void (*btfi_laplacian_blend_fn)(const btfi_laplacian_rows *rows, uint32_t n, float *dst);
+/* The same for four rows. */
+typedef void (*btfi_laplacian_blend4_fn)(const unsigned char *const row[4], const float weight[4], uint32_t n,
+                                         float *dst);
 /* out[c] = sum of eigen[i] * weights[i] * scale[c * stride + i] for i < n. */
 typedef void (*btfi_laplacian_dot_fn)(const float *eigen, const float *weights, const float *scale,
                                       uint32_t stride, uint32_t n, float out[3]);
 typedef struct btfi_laplacian_kernels {
   btfi_laplacian_blend_fn blend[LAPLACIAN_STORAGES];
+  btfi_laplacian_blend4_fn blend4[LAPLACIAN_STORAGES];
   btfi_laplacian_dot_fn dot;
 } btfi_laplacian_kernels;
 const btfi_laplacian_kernels *btfi_laplacian_kernels_of(uint32_t isa);
@@ -253,6 +274,7 @@ typedef struct btfi_laplacian_state {
   const btf_dirset *light_set, *view_set;
   const float *light_xyz, *view_xyz;
   btfi_laplacian_blend_fn blend;
+  btfi_laplacian_blend4_fn blend4;
   btfi_laplacian_dot_fn dot;
   btfi_laplacian_head head;
   btfi_laplacian_grid grid;

@@ -182,6 +182,7 @@ static btf_status load_state(loading *l) {
   s->light_xyz = host->dirset_directions(l->shape->lights);
   s->view_xyz = host->dirset_directions(l->shape->views);
   s->blend = kernels->blend[s->head.storage];
+  s->blend4 = kernels->blend4[s->head.storage];
   s->dot = kernels->dot;
   return BTF_OK;
 }

@@ -77,11 +77,11 @@ static void make_down(uint32_t filter, uint32_t wrap, uint32_t size, uint32_t co
 
 static void make_up(const btfi_laplacian_grid *grid, const uint32_t *sizes, uint32_t level, uint32_t coarser,
                     uint32_t i, up_taps *out) {
-  const float u = (float)((i + 0.5) / sizes[level]);
+  const double share = btfi_laplacian_share((float)((i + 0.5) / sizes[level]), grid->wrap);
   uint32_t finest[2];
   float finest_weight[2];
-  btf_sampling_linear(u, sizes[0], grid->wrap, finest, finest_weight);
-  btfi_laplacian_taps(grid, sizes, coarser, u, finest, finest_weight, out->index, out->weight);
+  btfi_laplacian_linear(share, sizes[0], grid->wrap, finest, finest_weight);
+  btfi_laplacian_taps(grid, sizes, coarser, share, finest, finest_weight, out->index, out->weight);
 }
 
 static btf_status make_taps(btfi_laplacian_pyramid *p, int axis) {
