@@ -58,7 +58,7 @@ typedef struct btfi_laplacian_grid {
 static inline btfi_laplacian_grid btfi_laplacian_grid_of(uint32_t filter, uint32_t wrap, uint32_t levels,
                                                          uint32_t width, uint32_t height) {
   btfi_laplacian_grid grid = {.filter = filter, .wrap = wrap, .levels = levels};
-  for (uint32_t k = 0; k < levels; k++) {
+  for (uint32_t k = 0; k < levels && k < LAPLACIAN_MAX_LEVELS; k++) {
     grid.width[k] = btf_sampling_level_size(width, k);
     grid.height[k] = btf_sampling_level_size(height, k);
   }
