@@ -45,6 +45,18 @@ static uint64_t resident_bytes(const void *state) {
   return ((const btfi_laplacian_state *)state)->resident;
 }
 
+static void cost(const void *state, uint32_t flags, btf_eval_cost *out) {
+  const btfi_laplacian_state *s = state;
+  const bool nearest = (flags & BTF_QUERY_NEAREST) != 0;
+  const double values = s->layout.first[s->grid.levels], texels = nearest ? 1.0 : 4.0;
+  const double rows = flags & BTF_COST_SHARED_DIRECTIONS ? 0.0 : nearest ? 1.0 : 9.0;
+  out->rows = rows + texels * s->grid.levels;
+  out->values = (rows + texels) * values;
+  out->bytes = out->values * s->layout.value_bytes;
+  /* Blends, then two products and a sum for each value, the mean, and back to RGB. */
+  out->flops = 2.0 * out->values + 3.0 * values + 30.0;
+}
+
 /* A build that only evaluates has no singular value decomposition, and does not offer to fit. */
 #ifdef LIBBTF_FIT
 enum { fit_caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT };
@@ -73,4 +85,5 @@ const btf_codec_vtbl btf_codec_laplacian = {
     .eval = btfi_laplacian_eval,
     .eval_n = btfi_laplacian_eval_n,
     .texel = btfi_laplacian_texel,
+    .cost = cost,
 };
