@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: MIT */
-/* Prints the paper's table 1 and figure 6 for data sets: `report_laplacian FOLDER...`. For each image the
- * mean square and mean absolute error of Y, Cb and Cr in 0..1 of the data's 99.9th percentile; of these the
- * average, least and largest over all images. Then the average error of Y by number of components, the
- * filters, and evaluations per second by level of detail. */
+/* Prints the paper's table 1 and figure 6 for data sets: `report_laplacian [--brief] FOLDER...`. For each
+ * image the mean square and mean absolute error of Y, Cb and Cr in 0..1 of the data's 99.9th percentile; of
+ * these the average, least and largest over all images. Then the average error of Y by number of components,
+ * the filters, and evaluations per second by level of detail. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -155,9 +155,10 @@ static double speed(const btf_model *model, float lod) {
 
 int main(int argc, char **argv) {
   static const char *const channels[] = {"Y", "Cb", "Cr"}, *const filters[] = {"mean", "binomial", "paper"};
+  const int brief = argc > 1 && strcmp(argv[1], "--brief") == 0; /* the default filter's table alone */
   btf_context *ctx;
   TRY(btf_context_create(NULL, &ctx));
-  for (int i = 1; i < argc; i++) {
+  for (int i = 1 + brief; i < argc; i++) {
     btf_dataset *ds;
     TRY(btf_dataset_open(ctx, argv[i], &ds));
     desc = (btf_dataset_desc)BTF_DATASET_DESC_INIT;
@@ -170,7 +171,7 @@ int main(int argc, char **argv) {
            views, peak);
     printf("  filter    RMSE of RGB  channel  MSE average  least     largest   MAE average  least     "
            "largest\n");
-    for (int f = 0; f < 3; f++) {
+    for (int f = 0; f < (brief ? 1 : 3); f++) {
       btf_model *model = fit(ctx, ds, "y", "8", filters[f]);
       const summary s = measure(ds, model, 1);
       for (int c = 0; c < 3; c++)
@@ -182,8 +183,8 @@ int main(int argc, char **argv) {
       printf("\n");
       btf_model_release(model);
     }
-    printf("  components of Y: MSE, MAE of Y over every 7th image\n");
-    for (int y = 1; y <= 32; y *= 2) {
+    if (!brief) printf("  components of Y: MSE, MAE of Y over every 7th image\n");
+    for (int y = 1; y <= 32 && !brief; y *= 2) {
       char value[8];
       snprintf(value, sizeof value, "%d", y);
       btf_model *model = fit(ctx, ds, "y", value, "mean");
@@ -192,6 +193,7 @@ int main(int argc, char **argv) {
              (unsigned long long)s.bytes);
       btf_model_release(model);
     }
+    fflush(stdout);
     btf_dataset_release(ds);
   }
   btf_context_release(ctx);
