@@ -9,7 +9,7 @@
 #include <string.h>
 #include <time.h>
 
-#include <btf/btf.h>
+#include <btf/btf_plugin.h>
 
 #define TRY(expression)                                                                                      \
   do {                                                                                                       \
