@@ -6,6 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <btf/btf_codec.h>
+
 double btfi_pvpca_peak(const btfi_pvpca_fit_job *f) {
   const double samples = (double)f->layout.views * (double)f->rows * (double)f->columns;
   uint64_t above = 0;

@@ -4,6 +4,8 @@
 
 #include <math.h>
 
+#include <btf/btf_codec.h>
+
 static const char *const storages[] = {"f32", "f16", "q8", NULL};
 static const char *const colors[] = {"lights", "texels", NULL};
 static const char *const budgets[] = {"fixed", "adaptive", NULL};

@@ -5,6 +5,8 @@
 #include <math.h>
 #include <string.h>
 
+#include <btf/btf_codec.h>
+
 enum { SMALLEST_BLOCK = 64 /* texels; fewer would read the data in crumbs */ };
 
 /* ---- what is asked for ---- */

@@ -5,6 +5,8 @@
 #include <math.h>
 #include <string.h>
 
+#include <btf/btf_codec.h>
+
 typedef struct loading {
   const btf_host *host;
   btf_context *ctx;

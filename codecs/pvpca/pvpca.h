@@ -12,7 +12,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include <btf/btf_codec.h>
 #include <btf/btf_plugin.h>
 
 enum { PVPCA_F32 = 0, PVPCA_F16 = 1, PVPCA_Q8 = 2, PVPCA_STORAGES };

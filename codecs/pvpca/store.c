@@ -5,6 +5,8 @@
 #include <math.h>
 #include <string.h>
 
+#include <btf/btf_codec.h>
+
 enum { COLUMNS = PVPCA_MAX_TERMS + 1 };
 
 /* A column whose values are all below this is stored as zeros, so that its inverse is finite. */

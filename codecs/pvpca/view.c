@@ -5,6 +5,8 @@
 #include <math.h>
 #include <string.h>
 
+#include <btf/btf_codec.h>
+
 enum { GRAM_RUN = 512, LANES = 8 };
 
 btf_status btfi_pvpca_progress(const btfi_pvpca_fit_job *f, double of_view) {
