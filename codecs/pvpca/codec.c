@@ -42,6 +42,21 @@ static uint64_t resident_bytes(const void *state) {
   return ((const btfi_pvpca_state *)state)->resident;
 }
 
+/* With as many terms as a view has on average. */
+static void cost(const void *state, uint32_t flags, btf_eval_cost *out) {
+  const btfi_pvpca_layout *layout = &((const btfi_pvpca_state *)state)->layout;
+  const bool nearest = (flags & BTF_QUERY_NEAREST) != 0;
+  const double views = nearest ? 1 : 3, texels = views * (nearest ? 1 : 4);
+  const double lights = flags & BTF_COST_SHARED_DIRECTIONS ? 0 : views * (nearest ? 1 : 3);
+  const double terms = (double)layout->terms / layout->views;
+  const double weights = lights * layout->g_channels * terms;
+  const double textures = texels * layout->h_channels * (layout->has_mean + terms);
+  out->rows = lights + texels;
+  out->values = weights + textures;
+  out->bytes = weights * layout->g_bytes_value + textures * layout->h_bytes_value;
+  out->flops = 2 * (out->values + views * layout->channels * terms);
+}
+
 /* A build that only evaluates has no eigenvectors, and does not offer to fit. */
 #ifdef LIBBTF_FIT
 enum { fit_caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT };
@@ -70,4 +85,5 @@ const btf_codec_vtbl btf_codec_pvpca = {
     .eval = btfi_pvpca_eval,
     .eval_n = btfi_pvpca_eval_n,
     .texel = btfi_pvpca_texel,
+    .cost = cost,
 };
