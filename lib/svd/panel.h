@@ -29,10 +29,23 @@ btf_status btfi_slab_project(btf_context *ctx, const btfi_slab *slab, const floa
 btf_status btfi_slab_accumulate(btf_context *ctx, const btfi_slab *slab, const float *packed_projection,
                                 uint32_t width, float *image);
 
-/* c (8 x 16 vectors) += a (8 x depth) * b (depth x 16 vectors), `vectors` being 1, 2 or 3. */
-typedef void (*btfi_tile_fn)(uint32_t vectors, size_t depth, const float *a, size_t a_row, size_t a_step,
-                             const float *b, size_t b_row, float *c, size_t c_row);
-/* NULL where the build or the processor has no such kernel. */
-btfi_tile_fn btfi_panel_tile(uint32_t isa);
+/* The kernels of an instruction set. */
+typedef struct btfi_panel_kernels {
+  uint32_t rows;   /* of a tile of sums that fits in the registers; divides BTFI_SLAB_GRAIN */
+  uint32_t vector; /* floats */
+  /* c (rows x vectors) += a (rows x depth) * b (depth x vectors, dense), `vectors` being 1, 2 or 3. */
+  void (*tile)(uint32_t vectors, size_t depth, const float *a, size_t a_row, size_t a_step, const float *b,
+               float *c, size_t c_row);
+  /* Copies a (count x depth, a row a column), `count` a multiple of BTFI_SLAB_GRAIN, to stripes of `rows`
+   * rows, stripe_floats apart and dense: stripe[t * rows + row] = a[t * a_step + row]. With `squares`, adds
+   * each row's sum of squares. */
+  void (*stripe)(size_t count, size_t depth, const float *a, size_t a_step, float *stripes,
+                 size_t stripe_floats, double *squares);
+  /* Sum of the squares of `count` floats. */
+  double (*square)(const float *a, size_t count);
+} btfi_panel_kernels;
+
+/* NULL where the build or the processor has none. */
+const btfi_panel_kernels *btfi_panel_kernels_for(uint32_t isa);
 
 #endif
