@@ -35,32 +35,30 @@ typedef struct part {
   size_t row, step, rows, depth;
 } part;
 
-/* Lines of the part that comes next, fetched to L2 a few at a time while the present one is at work: slabs
- * come from L3 or memory, in runs too short for the processor to see them coming. */
+/* The lines of the part that comes next, for each tile to fetch some to L2 while it is at work: slabs come
+ * from L3 or memory, in runs too short for the processor to see them coming. A tile takes one line of each of
+ * some runs. */
 typedef struct fetch_list {
-  const float *line;
-  size_t runs, run_step, run_lines, at;
+  const float *data;
+  size_t run_step, runs, lines; /* lines of a run */
+  size_t share;                 /* runs for each tile */
 } fetch_list;
 
-static fetch_list fetch_list_of(const part *next) {
-  fetch_list list = {0};
-  if (next->rows == 0) return list;
+static fetch_list fetch_list_of(const part *next, size_t depth) {
   const bool columns = next->row == 1;
-  list.line = next->data;
-  list.runs = columns ? next->depth : next->rows;
-  list.run_step = columns ? next->step : next->row;
-  list.run_lines = ((columns ? next->rows : next->depth) + LINE - 1) / LINE;
+  fetch_list list = {next->data, columns ? next->step : next->row, columns ? next->depth : next->rows, 0,
+                     (depth + BTFI_TILE_FETCH - 1) / BTFI_TILE_FETCH};
+  list.lines = ((columns ? next->rows : next->depth) + LINE - 1) / LINE;
   return list;
 }
 
-static void fetch_lines(fetch_list *list, size_t count) {
-  for (; count > 0 && list->runs > 0; count--) {
-    __builtin_prefetch(list->line + list->at * LINE, 0, 2);
-    if (++list->at < list->run_lines) continue;
-    list->at = 0;
-    list->runs--;
-    list->line += list->run_step;
-  }
+/* Where tile number `tile` starts. Beyond the end, anything will do that is in L2 already. */
+static const float *fetch_start(const fetch_list *list, size_t tile, const float *otherwise, size_t *step) {
+  const size_t run = list->lines == 0 ? 0 : tile / list->lines * list->share;
+  *step = 0;
+  if (run >= list->runs) return otherwise;
+  *step = list->run_step;
+  return list->data + run * list->run_step + tile % list->lines * LINE;
 }
 
 /* c (rows x width) += a * b, where b is packed and b_rows rows high, of which those from b_first on are
@@ -82,9 +80,8 @@ static void multiply_part(const product_job *job, const part *a, const part *nex
   } else if (norms != NULL) {
     for (size_t i = 0; i < a->rows; i++) norms[i] += kernels->square(a->data + i * a->row, a->depth);
   }
-  fetch_list list = fetch_list_of(next);
-  const size_t tiles = a->rows / rows * ((job->width / vector + 2) / 3);
-  const size_t share = (list.runs * list.run_lines + tiles - 1) / tiles;
+  const fetch_list list = fetch_list_of(next, a->depth);
+  size_t tile = 0, fetch_step;
   uint32_t vectors;
   for (uint32_t column = 0; column < job->width; column += vectors * (uint32_t)vector) {
     vectors = tile_vectors((job->width - column) / (uint32_t)vector);
@@ -97,8 +94,9 @@ static void multiply_part(const product_job *job, const part *a, const part *nex
           for (size_t j = 0; j < columns; j += LINE) __builtin_prefetch(sums + k * job->width + j, 1);
         }
       }
-      fetch_lines(&list, share);
-      kernels->tile(vectors, a->depth, from + i / rows * stripe, row, step, b, sums, job->width);
+      const float *fetch = fetch_start(&list, tile++, from, &fetch_step);
+      kernels->tile(vectors, a->depth, from + i / rows * stripe, row, step, b, sums, job->width, fetch,
+                    fetch_step);
     }
   }
 }

@@ -22,13 +22,17 @@
 /* Eight rows by 16 * vectors columns: 24 accumulators at most, which leaves room for one row of b. */
 #define DEFINE_TILE_AVX512(name, vectors)                                                                    \
   TARGET_AVX512 static void name(size_t depth, const float *a, size_t a_row, size_t a_step, const float *b,  \
-                                 float *c, size_t c_row) {                                                   \
+                                 float *c, size_t c_row, const float *fetch, size_t fetch_step) {            \
     __m512 sum[8][vectors];                                                                                  \
     UNROLL for (int row = 0; row < 8; row++) {                                                               \
       UNROLL for (int v = 0; v < (vectors); v++) sum[row][v] = _mm512_setzero_ps();                          \
     }                                                                                                        \
     const float *a_far = a + 4 * a_row;                                                                      \
     for (size_t t = 0; t < depth; t++, a += a_step, a_far += a_step, b += 16 * (vectors)) {                  \
+      if (t % 8 == 0) {                                                                                      \
+        _mm_prefetch((const char *)fetch, _MM_HINT_T1);                                                      \
+        fetch += fetch_step;                                                                                 \
+      }                                                                                                      \
       __m512 line[vectors];                                                                                  \
       UNROLL for (int v = 0; v < (vectors); v++) line[v] = _mm512_loadu_ps(b + 16 * v);                      \
       UNROLL for (int row = 0; row < 4; row++) {                                                             \
@@ -53,24 +57,28 @@ DEFINE_TILE_AVX512(tile_avx512_32, 2)
 DEFINE_TILE_AVX512(tile_avx512_48, 3)
 
 static void tile_avx512(uint32_t vectors, size_t depth, const float *a, size_t a_row, size_t a_step,
-                        const float *b, float *c, size_t c_row) {
+                        const float *b, float *c, size_t c_row, const float *fetch, size_t fetch_step) {
   if (vectors == 3)
-    tile_avx512_48(depth, a, a_row, a_step, b, c, c_row);
+    tile_avx512_48(depth, a, a_row, a_step, b, c, c_row, fetch, fetch_step);
   else if (vectors == 2)
-    tile_avx512_32(depth, a, a_row, a_step, b, c, c_row);
+    tile_avx512_32(depth, a, a_row, a_step, b, c, c_row, fetch, fetch_step);
   else
-    tile_avx512_16(depth, a, a_row, a_step, b, c, c_row);
+    tile_avx512_16(depth, a, a_row, a_step, b, c, c_row, fetch, fetch_step);
 }
 
 /* Four rows by 24 columns: the best of twelve accumulators in sixteen registers. */
 #define DEFINE_TILE_AVX2(name, vectors)                                                                      \
   TARGET_AVX2 static void name(size_t depth, const float *a, size_t a_row, size_t a_step, const float *b,    \
-                               float *c, size_t c_row) {                                                     \
+                               float *c, size_t c_row, const float *fetch, size_t fetch_step) {              \
     __m256 sum[4][vectors];                                                                                  \
     UNROLL for (int row = 0; row < 4; row++) {                                                               \
       UNROLL for (int v = 0; v < (vectors); v++) sum[row][v] = _mm256_setzero_ps();                          \
     }                                                                                                        \
     for (size_t t = 0; t < depth; t++, a += a_step, b += 8 * (vectors)) {                                    \
+      if (t % 8 == 0) {                                                                                      \
+        _mm_prefetch((const char *)fetch, _MM_HINT_T1);                                                      \
+        fetch += fetch_step;                                                                                 \
+      }                                                                                                      \
       __m256 line[vectors];                                                                                  \
       UNROLL for (int v = 0; v < (vectors); v++) line[v] = _mm256_loadu_ps(b + 8 * v);                       \
       UNROLL for (int row = 0; row < 4; row++) {                                                             \
@@ -90,13 +98,13 @@ DEFINE_TILE_AVX2(tile_avx2_16, 2)
 DEFINE_TILE_AVX2(tile_avx2_24, 3)
 
 static void tile_avx2(uint32_t vectors, size_t depth, const float *a, size_t a_row, size_t a_step,
-                      const float *b, float *c, size_t c_row) {
+                      const float *b, float *c, size_t c_row, const float *fetch, size_t fetch_step) {
   if (vectors == 3)
-    tile_avx2_24(depth, a, a_row, a_step, b, c, c_row);
+    tile_avx2_24(depth, a, a_row, a_step, b, c, c_row, fetch, fetch_step);
   else if (vectors == 2)
-    tile_avx2_16(depth, a, a_row, a_step, b, c, c_row);
+    tile_avx2_16(depth, a, a_row, a_step, b, c, c_row, fetch, fetch_step);
   else
-    tile_avx2_8(depth, a, a_row, a_step, b, c, c_row);
+    tile_avx2_8(depth, a, a_row, a_step, b, c, c_row, fetch, fetch_step);
 }
 
 /* ---- reordering and squares, the same for both ---- */
