@@ -130,6 +130,33 @@ static matrix with_rare_features(uint64_t items, uint64_t length) {
   return m;
 }
 
+/* Items as images of a glossy, rough line: a light and a view per item, a normal and an albedo per element,
+ * and a lobe so narrow that the item of each half vector picks elements of its own. A few images hold most of
+ * the energy, the spectrum falls slowly, and a sample of items tells little of the rest. */
+static matrix with_narrow_lobes(uint64_t side, uint64_t length) {
+  matrix m = matrix_alloc(side * side, length);
+  btfi_random random;
+  btfi_random_seed(&random, 21);
+  double *normal = malloc(length * sizeof *normal), *albedo = malloc(length * sizeof *albedo);
+  for (uint64_t j = 0; j < length; j++) {
+    normal[j] = 0.5 * btfi_random_normal(&random);
+    albedo[j] = 0.2 + 0.1 * btfi_random_float(&random);
+  }
+  for (uint64_t i = 0; i < m.items; i++) {
+    const double light = 2.8 * (double)(i / side) / (double)(side - 1) - 1.4;
+    const double view = 2.8 * (double)(i % side) / (double)(side - 1) - 1.4;
+    for (uint64_t j = 0; j < length; j++) {
+      const double off = (0.5 * (light + view) - normal[j]) / 0.04;
+      const double lit = fmax(0, cos(light - normal[j])) * (cos(view - normal[j]) > 0);
+      m.values[i * length + j] = (float)(lit * (albedo[j] + 2 * exp(-off * off) / (0.1 + cos(view))));
+    }
+  }
+  free(normal);
+  free(albedo);
+  matrix_measure(&m);
+  return m;
+}
+
 /* ---- reading and running ---- */
 
 static btf_status read_matrix(void *user, uint64_t item0, uint64_t items, float *dst, size_t ld) {
@@ -353,6 +380,35 @@ static void test_rare_features(void **state) {
     check_result(&m, &r);
     check_optimal(&m, &r, 1.001);
     btfi_svd_free(ctx, &r);
+  }
+  matrix_free(&m);
+  test_context_done(ctx, &memory);
+}
+
+/* Items of unequal worth read in order under every budget from the smallest to nearly all: the tolerance must
+ * be met by measure and not only by estimate. */
+static void test_tolerance_is_met(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  matrix m = with_narrow_lobes(40, 300);
+  for (uint32_t rank = 8; rank <= 32; rank += 12) {
+    static const double tolerances[] = {0.0005, 0.004, 0.02};
+    for (size_t t = 0; t < 3; t++) {
+      btf_svd_desc desc = describe(&m, rank);
+      const uint64_t needed = smallest_budget(ctx, desc), all = m.items * m.length * sizeof(float);
+      desc.tolerance = tolerances[t];
+      for (uint64_t part = 0; part <= 8; part++) {
+        btf_svd_result r = fresh();
+        desc.max_working_set = needed + part * part * all / 64;
+        assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
+        const double ratio = sqrt(explicit_error(&m, &r) / optimum(&m, rank));
+        if (!(ratio <= 1 + desc.tolerance))
+          fail_msg("rank %u, budget %d: error %.6f of the optimum, tolerance %g", rank, (int)part, ratio,
+                   desc.tolerance);
+        btfi_svd_free(ctx, &r);
+      }
+    }
   }
   matrix_free(&m);
   test_context_done(ctx, &memory);
@@ -764,14 +820,23 @@ static void test_bad_arguments(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_matches_lapack),        cmocka_unit_test(test_small_budget),
-      cmocka_unit_test(test_streamed_equals_held),  cmocka_unit_test(test_rare_features),
-      cmocka_unit_test(test_rank_deficient),        cmocka_unit_test(test_rank_one_of_equal_rows),
-      cmocka_unit_test(test_small_shapes),          cmocka_unit_test(test_zero_matrix),
-      cmocka_unit_test(test_tiny_residual),         cmocka_unit_test(test_target),
-      cmocka_unit_test(test_error_falls_with_rank), cmocka_unit_test(test_deterministic),
-      cmocka_unit_test(test_kernels_agree),         cmocka_unit_test(test_cancel),
-      cmocka_unit_test(test_read_failure),          cmocka_unit_test(test_allocation_failure),
+      cmocka_unit_test(test_matches_lapack),
+      cmocka_unit_test(test_small_budget),
+      cmocka_unit_test(test_streamed_equals_held),
+      cmocka_unit_test(test_rare_features),
+      cmocka_unit_test(test_tolerance_is_met),
+      cmocka_unit_test(test_rank_deficient),
+      cmocka_unit_test(test_rank_one_of_equal_rows),
+      cmocka_unit_test(test_small_shapes),
+      cmocka_unit_test(test_zero_matrix),
+      cmocka_unit_test(test_tiny_residual),
+      cmocka_unit_test(test_target),
+      cmocka_unit_test(test_error_falls_with_rank),
+      cmocka_unit_test(test_deterministic),
+      cmocka_unit_test(test_kernels_agree),
+      cmocka_unit_test(test_cancel),
+      cmocka_unit_test(test_read_failure),
+      cmocka_unit_test(test_allocation_failure),
       cmocka_unit_test(test_bad_arguments),
   };
   return btf_run("svd", tests);

@@ -181,20 +181,31 @@ static btf_status begin_state(svd_state *s) {
 
 /* ---- passes ---- */
 
-/* What further passes would gain, from what the last half step gained. The part of a right singular vector
- * that leaks to one of squared value mu loses the factor mu / ritz[i] with each half step; mu is at most that
- * of the last column that is no stray's. Half of the leaks are counted there, the others go to far smaller
- * values. */
-static double remaining_gain(const svd_state *s) {
-  const uint32_t rank = BTFI_MIN(s->found, s->plan.rank);
+/* What further passes would gain, from what the half step from P to C gained. The part of a right singular
+ * vector that leaks to one of squared value mu loses the factor mu / ritz[i] with each half step, and what it
+ * loses is gained: mu is at most that of the last column that is no stray's.
+ *
+ * That Ritz value is too small, though, until the last columns have converged. After a sample, P errs towards
+ * all directions alike, most of them of far smaller mu: what remains is a tenth of the gain and more, the
+ * more the larger the gain is beside the rest and the fewer items the sample has for each column. Later only
+ * slow leaks are left: what counts is the factor between this gain and that of the pass before (*gained, 0
+ * without), and a half at least. */
+static double remaining_gain(const svd_state *s, bool sampled, double rest, double *gained) {
+  const svd_plan *plan = &s->plan;
+  const uint32_t rank = BTFI_MIN(s->found, plan->rank);
   const uint32_t regular = s->found > s->partial_count ? s->found - s->partial_count : 0;
-  double sum = 0;
+  double all = 0, sum = 0;
+  for (uint32_t i = 0; i < rank; i++) all += fmax(0, s->ritz[i] - s->ritz_before[i]);
+  const double slowest = sampled ? 0 : *gained > 0 ? fmax(0.5, sqrt(all / *gained)) : 0.5;
   for (uint32_t i = 0; i < rank; i++) {
-    const double gain = s->ritz[i] - s->ritz_before[i];
-    const double ratio = fmin(0.98, s->ritz[BTFI_MAX(rank, regular) - 1] / s->ritz[i]);
-    if (gain > 0) sum += 0.5 * gain * ratio / (1 - ratio);
+    const double rate = fmax(slowest, s->ritz[BTFI_MAX(rank, regular) - 1] / s->ritz[i]);
+    sum += fmax(0, s->ritz[i] - s->ritz_before[i]) / (1 / fmin(rate, 0.98) - 1);
   }
-  return sum;
+  *gained = all;
+  if (!sampled) return 1.25 * sum;
+  const double share = rest > 0 ? all / rest : 0;
+  const double items = fmax(1, (double)plan->sample_blocks * (double)plan->block_items);
+  return fmax(0.75 * sum, all * (0.12 + 3 * share * share + 0.5 * plan->width / items));
 }
 
 static btf_status converge(svd_state *s) {
@@ -214,8 +225,9 @@ static btf_status converge(svd_state *s) {
   const double target = s->desc->target_residual;
   if (target > 0 && s->sample_rest > 1.05 * target && s->plan.rank < s->largest_rank) return BTF_OK;
 
-  double first = 0.2, estimate = 0, missed = 0, before = 0, after = 0;
-  bool refined = true;
+  double first = 0.2, estimate = 0, missed = 0, before = 0, after = 0, gained = 0;
+  /* A sample of the whole matrix has left slow leaks only. */
+  bool refined = true, sampled = !s->plan.held || s->plan.sample_blocks < s->plan.block_count;
   for (int pass = 0; pass < SVD_MAX_PASSES; pass++) {
     const double last = first + 0.6 * (0.98 - first), rest_before = fmax(0, s->energy - after);
     double *previous = s->previous;
@@ -229,6 +241,8 @@ static btf_status converge(svd_state *s) {
       BTFI_TRY(btfi_svd_refine(s, first, last));
     } else {
       BTFI_TRY(btfi_svd_pass(s, first, last, &missed));
+      /* Each direction that strays have in common would put one of the present ones out. */
+      if (s->found >= rank) missed = fmax(0, missed - s->ritz[rank - 1]);
       memcpy(previous, s->ritz_before, rank * sizeof(double));
     }
     first = last;
@@ -245,9 +259,11 @@ static btf_status converge(svd_state *s) {
       const double gain = fmax(0, captured - after), gain_before = captured - before;
       estimate = gain_before > gain ? gain * gain / gain_before : gain;
       estimate = 2 * estimate + missed;
+      gained = 0;
     } else {
-      estimate = remaining_gain(s) + missed;
+      estimate = remaining_gain(s, sampled, rest, &gained) + missed;
       before = captured_before;
+      sampled = false;
     }
     after = captured;
     btfi_log(s->ctx, BTF_LOG_INFO,
@@ -260,8 +276,8 @@ static btf_status converge(svd_state *s) {
      * magnified in what they are separated into. */
     const double blur =
         s->found > 0 ? s->plan.width * float_rounding * float_rounding * s->spread * s->ritz[0] : 0;
-    const bool clear = s->plan.sample_blocks > 0 && blur <= 0.25 * allowed * rest;
-    if ((pass > 0 || clear) && (estimate <= 0.75 * allowed * rest || !grows) && (clear || !grows))
+    const bool clear = (s->plan.sample_blocks > 0 || pass > 1) && blur <= 0.25 * allowed * rest;
+    if ((pass > 0 || clear) && (estimate <= 0.9 * allowed * rest || !grows) && (clear || !grows))
       return BTF_OK;
   }
   btfi_log(s->ctx, BTF_LOG_WARNING, "svd: %d readings did not reach the tolerance %g", SVD_MAX_PASSES,
