@@ -123,11 +123,12 @@ static void multiply(const product_job *job, const part *a, float *c, double *no
   }
 }
 
-/* Squares of up to DEPTH elements are summed in float, the runs in double. */
+/* Short runs of squares are summed in float, the runs in double. */
 static void add_norms(const btfi_slab *slab, double *norms) {
+  enum { RUN = 16 };
   memset(norms, 0, slab->items * sizeof(double));
-  for (size_t element = 0; element < slab->length; element += DEPTH) {
-    const size_t last = BTFI_MIN(slab->length, element + DEPTH);
+  for (size_t element = 0; element < slab->length; element += RUN) {
+    const size_t last = BTFI_MIN(slab->length, element + RUN);
     for (size_t i = 0; i < slab->items; i += BTFI_SLAB_GRAIN) {
       float lane[BTFI_SLAB_GRAIN] = {0};
       for (size_t j = element; j < last; j++) {

@@ -117,21 +117,29 @@ TARGET_AVX2 static void add_squares(const __m256 sum, double *squares) {
   }
 }
 
-/* Eight rows at a time; two such groups share a cache line, four are two lines, which come in together. */
+/* Eight rows at a time; two such groups share a cache line, four are two lines, which come in together.
+ * Squares are summed in short runs and these in turn, so that rounding grows by the root of a run's length
+ * only. */
+enum { SQUARE_RUN = 16 };
 #define DEFINE_STRIPE(name, groups, store)                                                                   \
   TARGET_AVX2 static void name(size_t depth, const float *a, size_t a_step, float *stripes,                  \
                                size_t stripe_floats, double *squares) {                                      \
-    __m256 sum[groups];                                                                                      \
-    UNROLL for (int g = 0; g < (groups); g++) sum[g] = _mm256_setzero_ps();                                  \
+    __m256 sum[groups], run[groups];                                                                         \
+    UNROLL for (int g = 0; g < (groups); g++) sum[g] = run[g] = _mm256_setzero_ps();                         \
     for (size_t t = 0; t < depth; t++, a += a_step) {                                                        \
       UNROLL for (int g = 0; g < (groups); g++) {                                                            \
         const __m256 value = _mm256_loadu_ps(a + 8 * g);                                                     \
-        sum[g] = _mm256_fmadd_ps(value, value, sum[g]);                                                      \
+        run[g] = _mm256_fmadd_ps(value, value, run[g]);                                                      \
         store(g, value)                                                                                      \
+      }                                                                                                      \
+      if (t % SQUARE_RUN != SQUARE_RUN - 1) continue;                                                        \
+      UNROLL for (int g = 0; g < (groups); g++) {                                                            \
+        sum[g] = _mm256_add_ps(sum[g], run[g]);                                                              \
+        run[g] = _mm256_setzero_ps();                                                                        \
       }                                                                                                      \
     }                                                                                                        \
     if (squares == NULL) return;                                                                             \
-    UNROLL for (int g = 0; g < (groups); g++) add_squares(sum[g], squares + 8 * g);                          \
+    UNROLL for (int g = 0; g < (groups); g++) add_squares(_mm256_add_ps(sum[g], run[g]), squares + 8 * g);   \
   }
 #define STORE_FOURS(g, value)                                                                                \
   float *to = stripes + (size_t)(2 * (g)) * stripe_floats + 4 * t;                                           \

@@ -9,7 +9,7 @@
 static const uint64_t default_working_set = (uint64_t)1 << 30;
 static const double default_tolerance = 0.0005;
 /* Below this part of the energy, a residual is not taken as a difference of float sums. */
-static const double smallest_difference = 2e-6;
+static const double smallest_difference = 5e-6;
 
 /* Float panels give a singular value to about this part of the largest: smaller changes mean nothing. */
 static const double noise = 2e-7;
@@ -317,6 +317,7 @@ static btf_status make_result(svd_state *s, btf_svd_result *out) {
   const uint32_t width = s->plan.width;
   double *residual = btfi_alloc(s->ctx, (uint64_t)width + 1, sizeof(double));
   if (residual == NULL) return btfi_alloc_status();
+  btfi_svd_apply(s, s->projection, (size_t)s->desc->items, s->left, s->found);
   btf_status status = residuals(s, residual);
   uint32_t rank = BTFI_MIN(s->plan.rank, s->found);
   if (status == BTF_OK && s->desc->target_residual > 0) {
@@ -332,7 +333,6 @@ static btf_status make_result(svd_state *s, btf_svd_result *out) {
   btfi_free(s->ctx, residual);
   BTFI_TRY(status);
   /* A target of the whole energy or more is met by no component at all; the rank may be 0. */
-  btfi_svd_apply(s, s->projection, (size_t)s->desc->items, s->left, rank);
   BTFI_TRY(btfi_svd_straighten(s, s->projection, (size_t)s->desc->items, rank));
   fix_signs(s, rank);
   out->sigma = btfi_alloc(s->ctx, rank, sizeof(double));
@@ -373,6 +373,31 @@ static btf_status decompose(svd_state *s, btf_svd_result *out) {
   }
   out->passes = s->passes;
   return btfi_progress(s->job, s->to, "svd");
+}
+
+/* Squares of values below this, on average, would come near the lower end of float's range. */
+static const double smallest_mean_square = 1e-30;
+
+/* The decomposition of values whose squares float cannot hold, by a power of two, which rounds nothing. Only
+ * such a matrix is read once more for it. */
+static btf_status decompose_scaled(svd_state *s, btf_svd_desc *desc, btf_svd_result *out) {
+  const btf_status status = decompose(s, out);
+  const double values = (double)desc->items * (double)desc->length;
+  const bool small = status == BTF_OK && out->energy < smallest_mean_square * values;
+  float largest;
+  if (status != BTF_E_NUMERIC && !small) return status;
+  BTFI_TRY(btfi_svd_find_largest(s, &largest));
+  if (largest == 0) return status;
+  frexpf(largest, &s->exponent);
+  btfi_svd_free(s->ctx, out);
+  end_state(s);
+  s->from = s->to; /* progress never goes back */
+  desc->target_residual = ldexp(desc->target_residual, -2 * s->exponent);
+  BTFI_TRY(decompose(s, out));
+  for (uint32_t k = 0; k < out->rank; k++) out->sigma[k] = ldexp(out->sigma[k], s->exponent);
+  out->energy = ldexp(out->energy, 2 * s->exponent);
+  out->residual = ldexp(out->residual, 2 * s->exponent);
+  return BTF_OK;
 }
 
 /* ---- entry ---- */
@@ -422,7 +447,7 @@ btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *user, const btf_job *j
 
   svd_state s = {.ctx = ctx, .desc = &desc, .job = job, .from = from, .to = to};
   s.largest_rank = (uint32_t)BTFI_MIN((uint64_t)desc.rank, BTFI_MIN(desc.items, desc.length));
-  btf_status status = decompose(&s, &result);
+  btf_status status = decompose_scaled(&s, &desc, &result);
   end_state(&s);
   if (status == BTF_OK)
     status = btfi_copy_out(ctx, "btf_svd_result", out, BTFI_SIZE_TO(btf_svd_result, residual), &result,
