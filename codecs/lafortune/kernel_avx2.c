@@ -301,11 +301,12 @@ INLINE __m256 lobe_pair(const btfi_lafortune_layout *layout, const uint32_t kind
 }
 
 INLINE void eval_group(const btfi_lafortune_state *state, const uint32_t kind, const uint32_t storage,
-                       const bool many, const btfi_lafortune_terms *terms, const float *weight,
-                       const unsigned char *const *r, float *out) {
+                       const bool many, const btfi_lafortune_taps *taps, const unsigned char *const *r, bool add,
+                       float *out) {
   const btfi_lafortune_layout *layout = &state->layout;
+  const btfi_lafortune_terms *terms = &taps->terms;
   const uint32_t channels = layout->group_channels, albedos = (1 + layout->lobes) * channels;
-  const __m128 weights = _mm_loadu_ps(weight);
+  const __m128 weights = _mm_loadu_ps(taps->weight);
   const __m256 lobe_weights = _mm256_mul_ps(_mm256_set_m128(weights, weights), _mm256_set1_ps(terms->lobe));
   const __m256 first = _mm256_mul_ps(lobe_pair(layout, kind, storage, terms, r, 0), lobe_weights);
   const __m256 second =
@@ -322,7 +323,7 @@ INLINE void eval_group(const btfi_lafortune_state *state, const uint32_t kind, c
       const __m256i from = _mm256_add_epi32(lane, _mm256_set1_epi32(t));
       __m256 factor = _mm256_permutevar8x32_ps(first, from);
       if (many) factor = _mm256_blendv_ps(factor, _mm256_permutevar8x32_ps(second, from), upper);
-      factor = _mm256_blendv_ps(factor, _mm256_set1_ps(weight[t] * terms->diffuse), diffuse);
+      factor = _mm256_blendv_ps(factor, _mm256_set1_ps(taps->weight[t] * terms->diffuse), diffuse);
       sum = _mm256_fmadd_ps(load8(storage, r[t], start + i), factor, sum);
     }
     _mm256_store_ps(sums + i, sum);
@@ -330,51 +331,113 @@ INLINE void eval_group(const btfi_lafortune_state *state, const uint32_t kind, c
   for (uint32_t c = 0; c < channels; c++) {
     float sum = sums[c];
     for (uint32_t j = 1; j <= layout->lobes; j++) sum += sums[j * channels + c];
-    out[c] += sum;
+    out[c] = add ? out[c] + sum : sum;
   }
 }
 
-/* The record of a texel at the end of the table, with room behind it. */
-static const unsigned char *with_room(const unsigned char *record, size_t bytes, unsigned char *room) {
-  memcpy(room, record, bytes);
-  memset(room + bytes, 0, 32);
-  return room;
+/* Copies of the records of a group at the end of the table, with room behind them. */
+typedef struct roomy_records {
+  _Alignas(32) unsigned char bytes[4][4 * MAX_GROUP_VALUES + 32];
+} roomy_records;
+
+static void copy_records(size_t bytes, roomy_records *room, const unsigned char **r) {
+  for (int t = 0; t < 4; t++) {
+    memcpy(room->bytes[t], r[t], bytes);
+    memset(room->bytes[t] + bytes, 0, 32);
+    r[t] = room->bytes[t];
+  }
 }
 
 INLINE void eval_groups(const btfi_lafortune_state *state, const uint32_t kind, const uint32_t storage,
-                        const bool many, const btfi_lafortune_terms *terms, const btfi_lafortune_taps *taps,
-                        float *out) {
+                        const bool many, const btfi_lafortune_taps *taps, uint32_t count, bool add, float *out) {
   const btfi_lafortune_layout *layout = &state->layout;
   const size_t bytes = (size_t)layout->group_values * layout->value_bytes;
-  for (uint32_t g = 0; g < layout->groups; g++, out += layout->group_channels) {
-    _Alignas(32) unsigned char room[4][4 * MAX_GROUP_VALUES + 32];
-    const unsigned char *r[4];
-    for (int t = 0; t < 4; t++) {
-      r[t] = taps->texel[t] + g * bytes;
-      if (taps->near_end[t]) r[t] = with_room(r[t], bytes, room[t]);
+  roomy_records room;
+  for (uint32_t i = 0; i < count; i++)
+    for (uint32_t g = 0; g < layout->groups; g++, out += layout->group_channels) {
+      const unsigned char *r[4];
+      for (int t = 0; t < 4; t++) r[t] = taps[i].texel[t] + g * bytes;
+      if (taps[i].near_end) copy_records(bytes, &room, r);
+      eval_group(state, kind, storage, many, &taps[i], r, add, out);
     }
-    eval_group(state, kind, storage, many, terms, taps->weight, r, out);
+}
+
+enum { USUAL_BLOCK = 16 };
+
+/* Where the records of a query are, copied if need be. */
+static inline void usual_records(const btfi_lafortune_taps *taps, size_t bytes, roomy_records *room,
+                                 const unsigned char **r) {
+  for (int t = 0; t < 4; t++) r[t] = taps->texel[t];
+  if (__builtin_expect(taps->near_end, false)) copy_records(bytes, room, r);
+}
+
+/* Two diagonal lobes of halves shared by three channels: the usual case. A record is 8 values of shape, then the
+ * albedos as 8 and 1: diffuse R G B, first lobe R G B, second lobe R G, B. The lobes of all queries come first, then
+ * their colours: a power is a long chain of operations, and those of one query leave room for the next. */
+static TARGET void eval_usual(const btfi_lafortune_state *state, const btfi_lafortune_taps *taps, uint32_t count,
+                              bool add, float *out) {
+  const size_t bytes = (size_t)state->layout.group_values * 2;
+  const __m256i of_texel[4] = {
+      _mm256_setr_epi32(0, 0, 0, 0, 0, 0, 4, 4), _mm256_setr_epi32(1, 1, 1, 1, 1, 1, 5, 5),
+      _mm256_setr_epi32(2, 2, 2, 2, 2, 2, 6, 6), _mm256_setr_epi32(3, 3, 3, 3, 3, 3, 7, 7)};
+  const __m256i second_third = _mm256_setr_epi32(3, 4, 5, 5, 6, 7, 7, 7);
+  __m256 lobes[USUAL_BLOCK];
+  roomy_records room;
+  const unsigned char *r[4];
+  for (uint32_t i = 0; i < count; i++) {
+    const btfi_lafortune_terms *terms = &taps[i].terms;
+    usual_records(&taps[i], bytes, &room, r);
+    const __m128 weights = _mm_mul_ps(_mm_loadu_ps(taps[i].weight), _mm_set1_ps(terms->lobe));
+    lobes[i] = _mm256_mul_ps(lobe_pair(&state->layout, LAF_DIAGONAL, LAF_F16, terms, r, 0),
+                             _mm256_set_m128(weights, weights));
+  }
+  for (uint32_t i = 0; i < count; i++, out += 3) {
+    usual_records(&taps[i], bytes, &room, r);
+    const __m128 diffuse = _mm_mul_ps(_mm_loadu_ps(taps[i].weight), _mm_set1_ps(taps[i].terms.diffuse));
+    const __m256 both = _mm256_set_m128(diffuse, diffuse);
+#define FACTOR(t, spread)                                                                                      \
+  _mm256_blend_ps(_mm256_permutevar8x32_ps(lobes[i], of_texel[t]), _mm256_permute_ps(both, spread), 0x07)
+    const __m256 sum0 = _mm256_mul_ps(load8(LAF_F16, r[0], 8), FACTOR(0, 0x00)),
+                 sum1 = _mm256_mul_ps(load8(LAF_F16, r[1], 8), FACTOR(1, 0x55)),
+                 sum2 = _mm256_fmadd_ps(load8(LAF_F16, r[2], 8), FACTOR(2, 0xaa), sum0),
+                 sum3 = _mm256_fmadd_ps(load8(LAF_F16, r[3], 8), FACTOR(3, 0xff), sum1);
+#undef FACTOR
+    const __m256 sum = _mm256_add_ps(sum2, sum3);
+    const __m128i last = _mm_setr_epi16((short)half_at(r[0], 16), (short)half_at(r[1], 16), (short)half_at(r[2], 16),
+                                        (short)half_at(r[3], 16), 0, 0, 0, 0);
+    const __m128 blue = _mm_mul_ps(_mm_cvtph_ps(last), _mm256_extractf128_ps(lobes[i], 1));
+    const __m128 blue2 = _mm_add_ps(blue, _mm_movehl_ps(blue, blue));
+    const __m128 blue1 = _mm_add_ss(blue2, _mm_movehdup_ps(blue2));
+    const __m256 shifted = _mm256_permutevar8x32_ps(sum, second_third); /* 3 4 5 - 6 7 - - */
+    const __m128 third = _mm_insert_ps(_mm256_extractf128_ps(shifted, 1), blue1, 0x20);
+    const __m128 rgb =
+        _mm_add_ps(_mm_add_ps(_mm256_castps256_ps128(sum), _mm256_castps256_ps128(shifted)), third);
+    float channel[4];
+    _mm_storeu_ps(channel, rgb);
+    for (int c = 0; c < 3; c++) out[c] = add ? out[c] + channel[c] : channel[c];
   }
 }
 
-#define EVAL_KIND(kind)                                                                                      \
-  case kind:                                                                                                 \
-    if (layout->storage == LAF_F16) {                                                                        \
-      if (layout->lobes > 2)                                                                                 \
-        eval_groups(state, kind, LAF_F16, true, terms, taps, out);                                           \
-      else                                                                                                   \
-        eval_groups(state, kind, LAF_F16, false, terms, taps, out);                                          \
-    } else {                                                                                                 \
-      if (layout->lobes > 2)                                                                                 \
-        eval_groups(state, kind, LAF_F32, true, terms, taps, out);                                           \
-      else                                                                                                   \
-        eval_groups(state, kind, LAF_F32, false, terms, taps, out);                                          \
-    }                                                                                                        \
+#define EVAL_KIND(kind)                                                                                        \
+  case kind:                                                                                                   \
+    if (layout->storage == LAF_F16) {                                                                          \
+      if (layout->lobes > 2) eval_groups(state, kind, LAF_F16, true, taps, count, add, out);                   \
+      else eval_groups(state, kind, LAF_F16, false, taps, count, add, out);                                    \
+    } else {                                                                                                   \
+      if (layout->lobes > 2) eval_groups(state, kind, LAF_F32, true, taps, count, add, out);                   \
+      else eval_groups(state, kind, LAF_F32, false, taps, count, add, out);                                    \
+    }                                                                                                          \
     break;
 
-static TARGET void eval(const btfi_lafortune_state *state, const btfi_lafortune_terms *terms,
-                        const btfi_lafortune_taps *taps, float *out) {
+static TARGET void eval(const btfi_lafortune_state *state, const btfi_lafortune_taps *taps, uint32_t count, bool add,
+                        float *out) {
   const btfi_lafortune_layout *layout = &state->layout;
+  if (layout->kind == LAF_DIAGONAL && layout->storage == LAF_F16 && layout->lobes == 2 &&
+      layout->group_channels == 3 && layout->groups == 1) {
+    for (uint32_t i = 0; i < count; i += USUAL_BLOCK)
+      eval_usual(state, taps + i, count - i < USUAL_BLOCK ? count - i : USUAL_BLOCK, add, out + 3 * i);
+    return;
+  }
   switch (layout->kind) {
     EVAL_KIND(LAF_DIAGONAL)
     EVAL_KIND(LAF_FULL)

@@ -95,9 +95,7 @@ static float lobe_value(const btfi_lafortune_layout *layout, const btfi_lafortun
   return layout->kind == LAF_LEWIS ? power * ((value[coefficients] + 2.0f) * LAF_LEWIS_NORM) : power;
 }
 
-static void eval(const btfi_lafortune_state *state, const btfi_lafortune_terms *terms,
-                 const btfi_lafortune_taps *taps, float *out) {
-  const btfi_lafortune_layout *layout = &state->layout;
+static void eval_taps(const btfi_lafortune_layout *layout, const btfi_lafortune_taps *taps, float *out) {
   const uint32_t channels = layout->group_channels;
   for (uint32_t g = 0; g < layout->groups; g++, out += channels) {
     const size_t start = (size_t)g * layout->group_values * layout->value_bytes;
@@ -106,15 +104,24 @@ static void eval(const btfi_lafortune_state *state, const btfi_lafortune_terms *
       const unsigned char *albedo = shape + (size_t)layout->lobes * layout->shape * layout->value_bytes;
       if (taps->weight[t] == 0.0f) continue;
       for (uint32_t j = 0; j <= layout->lobes; j++) {
-        float factor = taps->weight[t] * terms->diffuse;
+        float factor = taps->weight[t] * taps->terms.diffuse;
         if (j > 0) {
-          factor = lobe_value(layout, terms, shape) * (taps->weight[t] * terms->lobe);
+          factor = lobe_value(layout, &taps->terms, shape) * (taps->weight[t] * taps->terms.lobe);
           shape += (size_t)layout->shape * layout->value_bytes;
         }
         for (uint32_t c = 0; c < channels; c++)
           out[c] += factor * value_at(layout->storage, albedo, j * channels + c);
       }
     }
+  }
+}
+
+static void eval(const btfi_lafortune_state *state, const btfi_lafortune_taps *taps, uint32_t count, bool add,
+                 float *out) {
+  const btfi_lafortune_layout *layout = &state->layout;
+  for (uint32_t i = 0; i < count; i++, out += layout->channels) {
+    if (!add) memset(out, 0, layout->channels * sizeof *out);
+    eval_taps(layout, &taps[i], out);
   }
 }
 

@@ -165,11 +165,12 @@ void btfi_lafortune_nonnegative(uint32_t n, const double *gram, size_t gram_ld, 
  * power of two, which would crowd them into few sets of the cache. */
 enum { LAF_CHUNK = 256, LAF_LD = LAF_CHUNK + 16 };
 
-/* What a texel's record is evaluated with. Pointers of weight 0 are of some texel of the level. */
+/* Four records of one level, and what the directions of a query give. Records of weight 0 are of some texel. */
 typedef struct btfi_lafortune_taps {
+  btfi_lafortune_terms terms;
+  float weight[4]; /* scale of the level's albedos included */
   const unsigned char *texel[4];
-  float weight[4];  /* scale of the level's albedos included */
-  bool near_end[4]; /* reading 16 values from anywhere in the record may pass the end of the table */
+  bool near_end; /* reading vectors from anywhere in some record may pass the end of the table */
 } btfi_lafortune_taps;
 
 struct btfi_lafortune_state;
@@ -183,9 +184,9 @@ typedef struct btfi_lafortune_kernels {
   /* sums[i * sums_ld + j] += a_i . b_j over n samples; with `upper` only for j >= i need be right. */
   void (*dots)(const float *a, size_t a_ld, uint32_t a_count, const float *b, size_t b_ld, uint32_t b_count,
                uint32_t n, bool upper, double *sums, size_t sums_ld);
-  /* Adds what the taps give to out[channel]. */
-  void (*eval)(const struct btfi_lafortune_state *state, const btfi_lafortune_terms *terms,
-               const btfi_lafortune_taps *taps, float *out);
+  /* out[i * channels + channel] = what taps i give, or with `add` that much more. */
+  void (*eval)(const struct btfi_lafortune_state *state, const btfi_lafortune_taps *taps, uint32_t count, bool add,
+               float *out);
 } btfi_lafortune_kernels;
 const btfi_lafortune_kernels *btfi_lafortune_kernels_of(uint32_t isa);
 extern const btfi_lafortune_kernels btfi_lafortune_scalar;
@@ -215,7 +216,8 @@ typedef struct btfi_lafortune_state {
   const btfi_lafortune_kernels *kernels;
   btfi_lafortune_layout layout;
   bool times_cosine;
-  uint32_t width, height, wrap, levels;
+  uint32_t wrap, levels;
+  uint32_t level_width[LAF_MAX_LEVELS], level_height[LAF_MAX_LEVELS];
   uint64_t resident;
   const unsigned char *texels[LAF_MAX_LEVELS];
   const unsigned char *safe_end[LAF_MAX_LEVELS]; /* records from here on are near_end */

@@ -56,15 +56,17 @@ static bool all_finite(uint32_t storage, const unsigned char *values, uint64_t c
   return finite;
 }
 
-static btf_status load_levels(const btf_host *host, btf_context *ctx, btf_chunk_reader *payload,
+static btf_status load_levels(const btf_host *host, btf_context *ctx, const btf_model_shape *shape,
+                              btf_chunk_reader *payload,
                               btfi_lafortune_state *s) {
   const btfi_lafortune_layout *layout = &s->layout;
   const uint64_t record = (uint64_t)layout->values * layout->value_bytes;
   const void *scales;
   BTF_TRY(btf_get_chunk(host, ctx, payload, "lafortune", LAF_TAG_SCALE, 0, 4 * (uint64_t)s->levels, &scales));
-  for (uint32_t level = 0; level < s->levels; level++) {
-    const uint64_t texels =
-        (uint64_t)btf_sampling_level_size(s->width, level) * btf_sampling_level_size(s->height, level);
+  for (uint32_t level = 0; level < s->levels && level < LAF_MAX_LEVELS; level++) {
+    s->level_width[level] = btf_sampling_level_size(shape->width, level);
+    s->level_height[level] = btf_sampling_level_size(shape->height, level);
+    const uint64_t texels = (uint64_t)s->level_width[level] * s->level_height[level];
     const void *data;
     uint64_t size;
     if (__builtin_mul_overflow(texels, record, &size))
@@ -93,14 +95,12 @@ static btf_status load_state(const btf_host *host, btf_context *ctx, const btf_m
   s->view_set = shape->views;
   s->kernels = btfi_lafortune_kernels_of(host->isa(ctx));
   s->times_cosine = shape->quantity == BTF_QUANTITY_BRDF_COS;
-  s->width = shape->width;
-  s->height = shape->height;
   s->wrap = shape->wrap;
   s->levels = s->head.levels;
   s->resident = sizeof *s;
   for (uint32_t i = 0; i < (1 + s->layout.lobes) * s->layout.group_channels; i++)
     s->lobe_of[i] = (int32_t)(i / s->layout.group_channels) - 1;
-  return load_levels(host, ctx, payload, s);
+  return load_levels(host, ctx, shape, payload, s);
 }
 
 btf_status btfi_lafortune_load(const btf_host *host, btf_context *ctx, uint32_t format,
