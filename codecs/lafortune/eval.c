@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* eval.c: the texels around a query, each evaluated for the query's own directions, then blended. Lobes are functions
- * of the directions: nothing is interpolated between measured ones. One query and a batch run the same arithmetic. */
+/* eval.c: the texels around a query, each evaluated for the query's own directions, then blended. Lobes are
+ * functions of the directions: nothing is interpolated between measured ones. One query and a batch run the
+ * same arithmetic. */
 #include "lafortune.h"
 
 #include <string.h>
@@ -13,8 +14,8 @@ typedef struct place {
   float u, v, lod;
 } place;
 
-static inline void tap(const btfi_lafortune_state *s, uint32_t level, const uint32_t x[2], const uint32_t y[2],
-                       btfi_lafortune_taps *taps) {
+static inline void tap(const btfi_lafortune_state *s, uint32_t level, const uint32_t x[2],
+                       const uint32_t y[2], btfi_lafortune_taps *taps) {
   const uint64_t bytes = (uint64_t)s->layout.values * s->layout.value_bytes;
   const unsigned char *const line0 = s->texels[level] + y[0] * (s->level_width[level] * bytes),
                              *const line1 = s->texels[level] + y[1] * (s->level_width[level] * bytes);
@@ -35,8 +36,8 @@ static inline void tap_one(const btfi_lafortune_state *s, uint32_t level, uint32
   taps->weight[0] = s->scale[level];
 }
 
-static inline void tap_level(const btfi_lafortune_state *s, uint32_t level, float level_weight, const place *at,
-                             btfi_lafortune_taps *taps) {
+static inline void tap_level(const btfi_lafortune_state *s, uint32_t level, float level_weight,
+                             const place *at, btfi_lafortune_taps *taps) {
   const float weight = level_weight * s->scale[level];
   btf_bilinear texels;
   btf_sampling_bilinear(at->u, at->v, s->level_width[level], s->level_height[level], s->wrap, &texels);
@@ -55,9 +56,10 @@ static inline void make_terms(const btfi_lafortune_state *s, const float light[3
 }
 
 /* The directions of the nearest samples and the nearest texel. */
-static void tap_nearest(const btfi_lafortune_state *s, const float light[3], const float view[3], const place *at,
-                        btfi_lafortune_taps *taps) {
-  const uint32_t l = s->host->dirset_nearest(s->light_set, light), v = s->host->dirset_nearest(s->view_set, view);
+static void tap_nearest(const btfi_lafortune_state *s, const float light[3], const float view[3],
+                        const place *at, btfi_lafortune_taps *taps) {
+  const uint32_t l = s->host->dirset_nearest(s->light_set, light),
+                 v = s->host->dirset_nearest(s->view_set, view);
   const uint32_t level = btf_sampling_nearest_level(at->lod, s->levels);
   make_terms(s, s->host->dirset_directions(s->light_set) + 3 * (size_t)l,
              s->host->dirset_directions(s->view_set) + 3 * (size_t)v, &taps->terms);
@@ -85,8 +87,10 @@ void btfi_lafortune_eval(const void *state, const btf_query *query, float *out) 
   const place at = {query->uv[0], query->uv[1], query->lod};
   btfi_lafortune_taps taps;
   btf_level_pair levels = {{0, 0}, {1.0f, 0.0f}};
-  if (query->flags & BTF_QUERY_NEAREST) tap_nearest(s, query->light, query->view, &at, &taps);
-  else tap_finer(s, query->light, query->view, &at, &levels, &taps);
+  if (query->flags & BTF_QUERY_NEAREST)
+    tap_nearest(s, query->light, query->view, &at, &taps);
+  else
+    tap_finer(s, query->light, query->view, &at, &levels, &taps);
   s->kernels->eval(s, &taps, 1, false, out);
   add_coarser(s, &at, &levels, &taps, out);
 }
@@ -106,8 +110,10 @@ void btfi_lafortune_eval_n(const void *state, const btf_batch *batch, float *con
       const float view[3] = {batch->view[0][q], batch->view[1][q], batch->view[2][q]};
       at[i] = (place){batch->uv[0][q], batch->uv[1][q], batch->lod != NULL ? batch->lod[q] : 0.0f};
       levels[i].weight[1] = 0.0f;
-      if (batch->flags & BTF_QUERY_NEAREST) tap_nearest(s, light, view, &at[i], &taps[i]);
-      else tap_finer(s, light, view, &at[i], &levels[i], &taps[i]);
+      if (batch->flags & BTF_QUERY_NEAREST)
+        tap_nearest(s, light, view, &at[i], &taps[i]);
+      else
+        tap_finer(s, light, view, &at[i], &levels[i], &taps[i]);
     }
     s->kernels->eval(s, taps, n, false, values);
     for (uint32_t i = 0; i < n; i++) add_coarser(s, &at[i], &levels[i], &taps[i], values + i * channels);
@@ -116,8 +122,8 @@ void btfi_lafortune_eval_n(const void *state, const btf_batch *batch, float *con
   }
 }
 
-void btfi_lafortune_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view,
-                          float *out) {
+void btfi_lafortune_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
+                          uint32_t view, float *out) {
   const btfi_lafortune_state *s = state;
   btfi_lafortune_taps taps;
   make_terms(s, s->host->dirset_directions(s->light_set) + 3 * (size_t)light,

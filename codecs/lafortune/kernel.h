@@ -11,8 +11,9 @@
 #define LAF_LEWIS_NORM 0.159154943091895336f /* 1 / (2 pi) */
 /* Base-2 logarithm below which a lobe counts as 0 while it is fitted: its square must not be subnormal. */
 #define LAF_SMALLEST_LOG (-60.0f)
-/* Logarithm of the least share of its height that a lobe of fixed direction must have at some sample. */
-#define LAF_LOWEST_PEAK (-9.0f)
+/* Logarithm of how much higher a lobe may be between and beyond the samples than at any of them: what nobody
+ * measured must not outshine everything. */
+#define LAF_MOST_GROWTH 4.0f
 /* Share of the peak at which the derivative by the base stops growing: with exponents below 1 it has a pole
  * at 0. */
 #define LAF_SMALLEST_BASE 1e-4f

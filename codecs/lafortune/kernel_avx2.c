@@ -301,8 +301,8 @@ INLINE __m256 lobe_pair(const btfi_lafortune_layout *layout, const uint32_t kind
 }
 
 INLINE void eval_group(const btfi_lafortune_state *state, const uint32_t kind, const uint32_t storage,
-                       const bool many, const btfi_lafortune_taps *taps, const unsigned char *const *r, bool add,
-                       float *out) {
+                       const bool many, const btfi_lafortune_taps *taps, const unsigned char *const *r,
+                       bool add, float *out) {
   const btfi_lafortune_layout *layout = &state->layout;
   const btfi_lafortune_terms *terms = &taps->terms;
   const uint32_t channels = layout->group_channels, albedos = (1 + layout->lobes) * channels;
@@ -349,7 +349,8 @@ static void copy_records(size_t bytes, roomy_records *room, const unsigned char 
 }
 
 INLINE void eval_groups(const btfi_lafortune_state *state, const uint32_t kind, const uint32_t storage,
-                        const bool many, const btfi_lafortune_taps *taps, uint32_t count, bool add, float *out) {
+                        const bool many, const btfi_lafortune_taps *taps, uint32_t count, bool add,
+                        float *out) {
   const btfi_lafortune_layout *layout = &state->layout;
   const size_t bytes = (size_t)layout->group_values * layout->value_bytes;
   roomy_records room;
@@ -371,11 +372,12 @@ static inline void usual_records(const btfi_lafortune_taps *taps, size_t bytes, 
   if (__builtin_expect(taps->near_end, false)) copy_records(bytes, room, r);
 }
 
-/* Two diagonal lobes of halves shared by three channels: the usual case. A record is 8 values of shape, then the
- * albedos as 8 and 1: diffuse R G B, first lobe R G B, second lobe R G, B. The lobes of all queries come first, then
- * their colours: a power is a long chain of operations, and those of one query leave room for the next. */
-static TARGET void eval_usual(const btfi_lafortune_state *state, const btfi_lafortune_taps *taps, uint32_t count,
-                              bool add, float *out) {
+/* Two diagonal lobes of halves shared by three channels: the usual case. A record is 8 values of shape, then
+ * the albedos as 8 and 1: diffuse R G B, first lobe R G B, second lobe R G, B. The lobes of all queries come
+ * first, then their colours: a power is a long chain of operations, and those of one query leave room for the
+ * next. */
+static TARGET void eval_usual(const btfi_lafortune_state *state, const btfi_lafortune_taps *taps,
+                              uint32_t count, bool add, float *out) {
   const size_t bytes = (size_t)state->layout.group_values * 2;
   const __m256i of_texel[4] = {
       _mm256_setr_epi32(0, 0, 0, 0, 0, 0, 4, 4), _mm256_setr_epi32(1, 1, 1, 1, 1, 1, 5, 5),
@@ -395,7 +397,7 @@ static TARGET void eval_usual(const btfi_lafortune_state *state, const btfi_lafo
     usual_records(&taps[i], bytes, &room, r);
     const __m128 diffuse = _mm_mul_ps(_mm_loadu_ps(taps[i].weight), _mm_set1_ps(taps[i].terms.diffuse));
     const __m256 both = _mm256_set_m128(diffuse, diffuse);
-#define FACTOR(t, spread)                                                                                      \
+#define FACTOR(t, spread)                                                                                    \
   _mm256_blend_ps(_mm256_permutevar8x32_ps(lobes[i], of_texel[t]), _mm256_permute_ps(both, spread), 0x07)
     const __m256 sum0 = _mm256_mul_ps(load8(LAF_F16, r[0], 8), FACTOR(0, 0x00)),
                  sum1 = _mm256_mul_ps(load8(LAF_F16, r[1], 8), FACTOR(1, 0x55)),
@@ -403,8 +405,8 @@ static TARGET void eval_usual(const btfi_lafortune_state *state, const btfi_lafo
                  sum3 = _mm256_fmadd_ps(load8(LAF_F16, r[3], 8), FACTOR(3, 0xff), sum1);
 #undef FACTOR
     const __m256 sum = _mm256_add_ps(sum2, sum3);
-    const __m128i last = _mm_setr_epi16((short)half_at(r[0], 16), (short)half_at(r[1], 16), (short)half_at(r[2], 16),
-                                        (short)half_at(r[3], 16), 0, 0, 0, 0);
+    const __m128i last = _mm_setr_epi16((short)half_at(r[0], 16), (short)half_at(r[1], 16),
+                                        (short)half_at(r[2], 16), (short)half_at(r[3], 16), 0, 0, 0, 0);
     const __m128 blue = _mm_mul_ps(_mm_cvtph_ps(last), _mm256_extractf128_ps(lobes[i], 1));
     const __m128 blue2 = _mm_add_ps(blue, _mm_movehl_ps(blue, blue));
     const __m128 blue1 = _mm_add_ss(blue2, _mm_movehdup_ps(blue2));
@@ -418,19 +420,23 @@ static TARGET void eval_usual(const btfi_lafortune_state *state, const btfi_lafo
   }
 }
 
-#define EVAL_KIND(kind)                                                                                        \
-  case kind:                                                                                                   \
-    if (layout->storage == LAF_F16) {                                                                          \
-      if (layout->lobes > 2) eval_groups(state, kind, LAF_F16, true, taps, count, add, out);                   \
-      else eval_groups(state, kind, LAF_F16, false, taps, count, add, out);                                    \
-    } else {                                                                                                   \
-      if (layout->lobes > 2) eval_groups(state, kind, LAF_F32, true, taps, count, add, out);                   \
-      else eval_groups(state, kind, LAF_F32, false, taps, count, add, out);                                    \
-    }                                                                                                          \
+#define EVAL_KIND(kind)                                                                                      \
+  case kind:                                                                                                 \
+    if (layout->storage == LAF_F16) {                                                                        \
+      if (layout->lobes > 2)                                                                                 \
+        eval_groups(state, kind, LAF_F16, true, taps, count, add, out);                                      \
+      else                                                                                                   \
+        eval_groups(state, kind, LAF_F16, false, taps, count, add, out);                                     \
+    } else {                                                                                                 \
+      if (layout->lobes > 2)                                                                                 \
+        eval_groups(state, kind, LAF_F32, true, taps, count, add, out);                                      \
+      else                                                                                                   \
+        eval_groups(state, kind, LAF_F32, false, taps, count, add, out);                                     \
+    }                                                                                                        \
     break;
 
-static TARGET void eval(const btfi_lafortune_state *state, const btfi_lafortune_taps *taps, uint32_t count, bool add,
-                        float *out) {
+static TARGET void eval(const btfi_lafortune_state *state, const btfi_lafortune_taps *taps, uint32_t count,
+                        bool add, float *out) {
   const btfi_lafortune_layout *layout = &state->layout;
   if (layout->kind == LAF_DIAGONAL && layout->storage == LAF_F16 && layout->lobes == 2 &&
       layout->group_channels == 3 && layout->groups == 1) {

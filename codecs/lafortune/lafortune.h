@@ -134,8 +134,9 @@ typedef struct btfi_lafortune_fitted {
   uint32_t iterations; /* of all starts */
 } btfi_lafortune_fitted;
 
-/* Receives the cost of each point that a start accepts; for tests. */
-typedef void (*btfi_lafortune_trace_fn)(void *user, uint32_t start, double cost);
+/* Receives the cost of each point that a descent accepts; for tests. Full matrices descend twice from a
+ * start. */
+typedef void (*btfi_lafortune_trace_fn)(void *user, uint32_t descent, double cost);
 
 typedef struct btfi_lafortune_scratch btfi_lafortune_scratch;
 uint64_t btfi_lafortune_scratch_bytes(const btfi_lafortune_shared *shared, uint32_t lobes, uint32_t channels);
@@ -165,7 +166,8 @@ void btfi_lafortune_nonnegative(uint32_t n, const double *gram, size_t gram_ld, 
  * power of two, which would crowd them into few sets of the cache. */
 enum { LAF_CHUNK = 256, LAF_LD = LAF_CHUNK + 16 };
 
-/* Four records of one level, and what the directions of a query give. Records of weight 0 are of some texel. */
+/* Four records of one level, and what the directions of a query give. Records of weight 0 are of some texel.
+ */
 typedef struct btfi_lafortune_taps {
   btfi_lafortune_terms terms;
   float weight[4]; /* scale of the level's albedos included */
@@ -185,8 +187,8 @@ typedef struct btfi_lafortune_kernels {
   void (*dots)(const float *a, size_t a_ld, uint32_t a_count, const float *b, size_t b_ld, uint32_t b_count,
                uint32_t n, bool upper, double *sums, size_t sums_ld);
   /* out[i * channels + channel] = what taps i give, or with `add` that much more. */
-  void (*eval)(const struct btfi_lafortune_state *state, const btfi_lafortune_taps *taps, uint32_t count, bool add,
-               float *out);
+  void (*eval)(const struct btfi_lafortune_state *state, const btfi_lafortune_taps *taps, uint32_t count,
+               bool add, float *out);
 } btfi_lafortune_kernels;
 const btfi_lafortune_kernels *btfi_lafortune_kernels_of(uint32_t isa);
 extern const btfi_lafortune_kernels btfi_lafortune_scalar;

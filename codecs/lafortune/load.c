@@ -57,8 +57,7 @@ static bool all_finite(uint32_t storage, const unsigned char *values, uint64_t c
 }
 
 static btf_status load_levels(const btf_host *host, btf_context *ctx, const btf_model_shape *shape,
-                              btf_chunk_reader *payload,
-                              btfi_lafortune_state *s) {
+                              btf_chunk_reader *payload, btfi_lafortune_state *s) {
   const btfi_lafortune_layout *layout = &s->layout;
   const uint64_t record = (uint64_t)layout->values * layout->value_bytes;
   const void *scales;

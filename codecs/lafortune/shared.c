@@ -56,15 +56,49 @@ void btfi_lafortune_lobe_of(uint32_t kind, const float *shape, btfi_lafortune_lo
   out->exponent = shape[free_terms];
 }
 
+/* v of the upper hemisphere that makes v . w largest, and that product. */
+static double towards(const double w[3], double v[3]) {
+  const double z = w[2] > 0.0 ? w[2] : 0.0, length = sqrt(w[0] * w[0] + w[1] * w[1] + z * z);
+  if (!(length > 0.0)) return w[2]; /* straight down: the horizon would do, with 0 */
+  v[0] = w[0] / length;
+  v[1] = w[1] / length;
+  v[2] = z / length;
+  return length;
+}
+
+/* The largest base over all directions of the hemispheres, measured or not. For full matrices the best view
+ * for a light and the best light for that view take turns. */
+static double largest_base(const btfi_lafortune_lobe *lobe) {
+  const float *c = lobe->coefficient;
+  if (lobe->terms == 3) return fmax(fmax(fabs((double)c[0]), fabs((double)c[1])), (double)c[2]);
+  static const double start[5][3] = {{0, 0, 1}, {1, 0, 0}, {0, 1, 0}, {0.6, 0.6, 0.529}, {-0.6, 0.6, 0.529}};
+  double largest = 0.0;
+  for (int s = 0; s < 5; s++) {
+    double light[3] = {start[s][0], start[s][1], start[s][2]}, view[3] = {0, 0, 1}, w[3], base = 0.0;
+    for (int turn = 0; turn < 6; turn++) {
+      for (int i = 0; i < 3; i++)
+        w[i] =
+            (double)c[3 * i] * light[0] + (double)c[3 * i + 1] * light[1] + (double)c[3 * i + 2] * light[2];
+      (void)towards(w, view);
+      for (int i = 0; i < 3; i++)
+        w[i] = (double)c[i] * view[0] + (double)c[3 + i] * view[1] + (double)c[6 + i] * view[2];
+      base = towards(w, light);
+    }
+    largest = fmax(largest, base);
+  }
+  return largest;
+}
+
 bool btfi_lafortune_make_base(const btfi_lafortune_shared *shared, btfi_lafortune_lobe *lobe, float *base) {
   const float largest = shared->kernels->base(lobe, shared->term, shared->padded, base);
   if (lobe->kind == LAF_WARD) {
     lobe->peak = largest;
-    return largest > LAF_LOWEST_PEAK;
+    return largest > -LAF_MOST_GROWTH;
   }
   lobe->peak = largest > 1e-30f ? largest : 1.0f; /* without light anywhere the columns are 0 */
-  if (btfi_lafortune_free_terms(lobe->kind) > 0) return true;
-  return largest > 1e-30f && lobe->exponent * logf(largest) > LAF_LOWEST_PEAK;
+  const double anywhere = btfi_lafortune_free_terms(lobe->kind) > 0 ? largest_base(lobe) : 1.0;
+  return largest > 1e-30f &&
+         (double)lobe->exponent * log(anywhere / (double)largest) < (double)LAF_MOST_GROWTH;
 }
 
 /* Their columns; a lobe that must not be is 0. */

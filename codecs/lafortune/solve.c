@@ -19,8 +19,11 @@ enum {
 #define MOST_DAMPING 1e7
 /* No lobe that is allowed is lower at its peak. */
 #define LOWEST_HEIGHT 1e-7
-/* Share of the data's energy that sums of products of floats are off by. */
-#define SUM_ERROR 2e-9
+/* Shares of the data's energy: what sums of products of floats are off by, and those of what is left of the
+ * data; below the last share, what is left is worth making anew. */
+#define SUM_ERROR 1e-10
+#define REFINED_SUM_ERROR 1e-15
+#define WORTH_REFINING 1e-4
 
 /* Lobes with what is known of them. Columns of the sums: the diffuse part, then each lobe and its
  * derivatives. */
@@ -28,8 +31,9 @@ typedef struct point {
   btfi_lafortune_lobe lobe[LAF_MAX_LOBES];
   double cost;
   double albedo[LAF_MAX_ALBEDOS][LAF_MAX_CHANNELS];
-  double gram[MAX_COLUMNS * MAX_COLUMNS]; /* upper half */
-  double cross[MAX_COLUMNS * LAF_MAX_CHANNELS];
+  double gram[MAX_COLUMNS * MAX_COLUMNS];       /* upper half */
+  double cross[MAX_COLUMNS * LAF_MAX_CHANNELS]; /* with the data, or with what the albedos leave of them */
+  bool refined;                                 /* the latter */
 } point;
 
 typedef struct start_point {
@@ -53,6 +57,7 @@ struct btfi_lafortune_scratch {
   float *own_factor[2]; /* where weights follow the data */
   float *base;          /* of each lobe */
   float *chunk;         /* columns */
+  float *left;          /* of the data of a chunk */
   point points[3];
   start_point pair[MAX_PAIRS];
   double candidate_gram[(1 + LAF_CANDIDATES) * (1 + LAF_CANDIDATES)];
@@ -74,7 +79,7 @@ uint64_t btfi_lafortune_scratch_bytes(const btfi_lafortune_shared *shared, uint3
                                       uint32_t channels) {
   const uint64_t floats = ((uint64_t)channels + 3 + lobes) * shared->padded;
   const uint64_t bytes = ((sizeof(btfi_lafortune_scratch) + 63) & ~(uint64_t)63) +
-                         4 * (floats + chunk_columns(shared->kind, lobes) * LAF_LD);
+                         4 * (floats + (chunk_columns(shared->kind, lobes) + channels) * LAF_LD);
   return (bytes + 63) & ~(uint64_t)63;
 }
 
@@ -88,7 +93,8 @@ btfi_lafortune_scratch *btfi_lafortune_scratch_init(void *memory, const btfi_laf
   s->variables = btfi_lafortune_variables(shared->kind);
   s->columns = column_count(shared->kind, lobes);
   s->chunk = (float *)(void *)((unsigned char *)memory + ((sizeof *s + 63) & ~(size_t)63));
-  s->data = s->chunk + chunk_columns(shared->kind, lobes) * LAF_LD;
+  s->left = s->chunk + chunk_columns(shared->kind, lobes) * LAF_LD;
+  s->data = s->left + (size_t)channels * LAF_LD;
   s->root = s->data + channels * ld;
   s->own_factor[0] = s->root + ld;
   s->own_factor[1] = s->own_factor[0] + ld;
@@ -198,6 +204,87 @@ static void solve_albedos(const btfi_lafortune_scratch *s, point *p) {
   p->cost = s->energy > explained ? s->energy - explained : 0.0;
 }
 
+/* Cholesky factor of the products of the columns with albedos above 0; which[] are those, lobe[] the
+ * albedos. */
+static uint32_t factor_active(const btfi_lafortune_scratch *s, const point *p, uint32_t channel,
+                              uint32_t which[LAF_MAX_ALBEDOS], uint32_t lobe[LAF_MAX_ALBEDOS],
+                              double l[LAF_MAX_ALBEDOS][LAF_MAX_ALBEDOS]) {
+  uint32_t n = 0;
+  for (uint32_t i = 0; i <= s->lobes; i++) {
+    if (!(p->albedo[i][channel] > 0.0)) continue;
+    const uint32_t column = albedo_column(s, i);
+    double pivot = p->gram[column * s->columns + column];
+    const double norm = pivot;
+    for (uint32_t j = 0; j < n; j++) {
+      double sum = gram_of(s, p, which[j], column);
+      for (uint32_t k = 0; k < j; k++) sum -= l[n][k] * l[j][k];
+      l[n][j] = sum / l[j][j];
+      pivot -= l[n][j] * l[n][j];
+    }
+    if (!(pivot > 1e-12 * norm)) continue;
+    l[n][n] = sqrt(pivot);
+    lobe[n] = i;
+    which[n++] = column;
+  }
+  return n;
+}
+
+/* Columns of what is left of the data behind those of the chunk. Returns its squared norm. */
+static double make_left(btfi_lafortune_scratch *s, const point *p, uint32_t first, uint32_t n) {
+  double norm = 0.0;
+  for (uint32_t c = 0; c < s->channels; c++) {
+    const float *data = s->data + (size_t)c * s->shared->padded + first;
+    float *left = s->left + (size_t)c * LAF_LD;
+    for (uint32_t i = 0; i < n; i++) {
+      double value = (double)data[i];
+      for (uint32_t j = 0; j <= s->lobes; j++)
+        value -= p->albedo[j][c] * (double)s->chunk[(size_t)albedo_column(s, j) * LAF_LD + i];
+      left[i] = (float)value;
+      norm += value * value;
+    }
+  }
+  return norm;
+}
+
+/* Where the model nearly is the data, their products cancel. Products with what is left of the data do not;
+ * they also correct the albedos, where those may grow and shrink. */
+static void refine(btfi_lafortune_scratch *s, point *p) {
+  const btfi_lafortune_shared *shared = s->shared;
+  p->cost = 0.0;
+  memset(p->cross, 0, (size_t)s->columns * s->channels * sizeof *p->cross);
+  for (uint32_t first = 0; first < shared->padded; first += LAF_CHUNK) {
+    const uint32_t n = shared->padded - first < LAF_CHUNK ? shared->padded - first : LAF_CHUNK;
+    make_chunk(s, p, first, n);
+    p->cost += make_left(s, p, first, n);
+    shared->kernels->dots(s->chunk, LAF_LD, s->columns, s->left, LAF_LD, s->channels, n, false, p->cross,
+                          s->channels);
+  }
+  p->refined = true;
+  for (uint32_t c = 0; c < s->channels; c++) {
+    uint32_t which[LAF_MAX_ALBEDOS], lobe[LAF_MAX_ALBEDOS];
+    double l[LAF_MAX_ALBEDOS][LAF_MAX_ALBEDOS], step[LAF_MAX_ALBEDOS];
+    const uint32_t active = factor_active(s, p, c, which, lobe, l);
+    bool stays = true;
+    for (uint32_t i = 0; i < active; i++) {
+      step[i] = p->cross[which[i] * s->channels + c];
+      for (uint32_t k = 0; k < i; k++) step[i] -= l[i][k] * step[k];
+      step[i] /= l[i][i];
+    }
+    for (uint32_t i = active; i-- > 0;) {
+      for (uint32_t k = i + 1; k < active; k++) step[i] -= l[k][i] * step[k];
+      step[i] /= l[i][i];
+      stays = stays && p->albedo[lobe[i]][c] + step[i] >= 0.0;
+    }
+    for (uint32_t i = 0; i < active && stays; i++) {
+      p->albedo[lobe[i]][c] += step[i];
+      p->cost = fmax(0.0, p->cost - step[i] * p->cross[which[i] * s->channels + c]);
+    }
+    for (uint32_t v = 0; v < s->columns && stays; v++)
+      for (uint32_t i = 0; i < active; i++)
+        if (v != which[i]) p->cross[v * s->channels + c] -= step[i] * gram_of(s, p, which[i], v);
+  }
+}
+
 /* false if a lobe must not be, whose sums are not made unless it is `forced`. */
 static bool evaluate(btfi_lafortune_scratch *s, point *p, bool forced) {
   const btfi_lafortune_shared *shared = s->shared;
@@ -214,7 +301,9 @@ static bool evaluate(btfi_lafortune_scratch *s, point *p, bool forced) {
     shared->kernels->dots(s->chunk, LAF_LD, s->columns, s->data + first, shared->padded, s->channels, n,
                           false, p->cross, s->channels);
   }
+  p->refined = false;
   solve_albedos(s, p);
+  if (p->cost < WORTH_REFINING * s->energy) refine(s, p);
   return true;
 }
 
@@ -230,40 +319,18 @@ static uint32_t variable_column(const btfi_lafortune_scratch *s, uint32_t v) {
   return lobe_column(s, v / s->variables) + 1 + v % s->variables;
 }
 
-/* Cholesky factor of the products of the columns with albedos above 0; which[] are those. */
-static uint32_t factor_active(const btfi_lafortune_scratch *s, const point *p, uint32_t channel,
-                              uint32_t which[LAF_MAX_ALBEDOS], double l[LAF_MAX_ALBEDOS][LAF_MAX_ALBEDOS]) {
-  uint32_t n = 0;
-  for (uint32_t i = 0; i <= s->lobes; i++) {
-    if (!(p->albedo[i][channel] > 0.0)) continue;
-    const uint32_t column = albedo_column(s, i);
-    double pivot = p->gram[column * s->columns + column];
-    const double norm = pivot;
-    for (uint32_t j = 0; j < n; j++) {
-      double sum = gram_of(s, p, which[j], column);
-      for (uint32_t k = 0; k < j; k++) sum -= l[n][k] * l[j][k];
-      l[n][j] = sum / l[j][j];
-      pivot -= l[n][j] * l[n][j];
-    }
-    if (!(pivot > 1e-12 * norm)) continue;
-    l[n][n] = sqrt(pivot);
-    which[n++] = column;
-  }
-  return n;
-}
-
 /* What is left of the products of derivatives once albedos have followed, summed over the channels. */
 static void add_channel(const btfi_lafortune_scratch *s, const point *p, uint32_t channel,
                         normal_equations *e) {
-  uint32_t which[LAF_MAX_ALBEDOS];
+  uint32_t which[LAF_MAX_ALBEDOS], lobes[LAF_MAX_ALBEDOS];
   double l[LAF_MAX_ALBEDOS][LAF_MAX_ALBEDOS], w[LAF_MAX_VARIABLES][LAF_MAX_ALBEDOS],
       factor[LAF_MAX_VARIABLES];
-  const uint32_t active = factor_active(s, p, channel, which, l);
+  const uint32_t active = factor_active(s, p, channel, which, lobes, l);
   for (uint32_t v = 0; v < e->n; v++) {
     const uint32_t lobe = v / s->variables, column = variable_column(s, v);
     double residual = p->cross[column * s->channels + channel];
     factor[v] = p->albedo[1 + lobe][channel];
-    for (uint32_t i = 0; i <= s->lobes; i++)
+    for (uint32_t i = 0; i <= s->lobes && !p->refined; i++)
       residual -= p->albedo[i][channel] * gram_of(s, p, albedo_column(s, i), column);
     for (uint32_t i = 0; i < active; i++) {
       double sum = gram_of(s, p, which[i], column);
@@ -409,7 +476,7 @@ static uint32_t descend(btfi_lafortune_scratch *s, const btfi_lafortune_settings
   make_equations(s, current, &equations);
   divide_by_peaks(s, current);
   while (iteration < settings->iterations && damping < MOST_DAMPING &&
-         current->cost > SUM_ERROR * s->energy) {
+         current->cost > REFINED_SUM_ERROR * s->energy) {
     iteration++;
     hold_bounds(s, current, &equations, only_diagonal, held);
     solve_damped(&equations, held, damping, step);
@@ -419,7 +486,9 @@ static uint32_t descend(btfi_lafortune_scratch *s, const btfi_lafortune_settings
       /* No more to gain than the sums are exact to. */
       double promised = 0.0;
       for (uint32_t v = 0; v < equations.n; v++) promised += equations.slope[v] * step[v];
-      if (promised < settings->tolerance * current->cost + SUM_ERROR * s->energy) break;
+      if (promised < settings->tolerance * current->cost +
+                         (current->refined ? REFINED_SUM_ERROR : SUM_ERROR) * s->energy)
+        break;
       continue;
     }
     const double gained = current->cost - trial->cost;
@@ -583,9 +652,9 @@ void btfi_lafortune_fit_group(btfi_lafortune_scratch *s, const btfi_lafortune_se
     for (uint32_t j = 0; j < s->lobes; j++)
       btfi_lafortune_lobe_of(s->shared->kind, s->shared->candidate[start[i].candidate[j]],
                              &s->points[0].lobe[j]);
-    out->iterations += descend(s, settings, i, s->shared->kind == LAF_FULL);
+    out->iterations += descend(s, settings, 2 * i, s->shared->kind == LAF_FULL);
     if (s->shared->kind == LAF_FULL && s->points[0].cost < INFINITY)
-      out->iterations += descend(s, settings, i, false);
+      out->iterations += descend(s, settings, 2 * i + 1, false);
     if (s->points[0].cost < best->cost) memcpy(best, &s->points[0], sizeof *best);
   }
   if (best->cost == INFINITY) { /* no lobe of this kind shows: its albedo is 0 */
