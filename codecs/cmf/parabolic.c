@@ -25,7 +25,7 @@ static void unit(double x, double y, double z, float out[3]) {
 }
 
 static double dot(const float a[3], const float b[3]) {
-  return (double)a[0] * b[0] + (double)a[1] * b[1] + (double)a[2] * b[2];
+  return (double)a[0] * (double)b[0] + (double)a[1] * (double)b[1] + (double)a[2] * (double)b[2];
 }
 
 /* ---- maps ---- */
