@@ -37,7 +37,7 @@ BTF_PARAM(edge, BTF_PARAM_INT, "edge of the parabolic maps", "texel", "32", NULL
 BTF_PARAM(epsilon, BTF_PARAM_FLOAT, "least divisor of a residue, relative to the largest value of the ABRDF",
           NULL, "0.001", NULL, 1e-6, 1);
 BTF_PARAM(lambda, BTF_PARAM_FLOAT, "smoothness of homomorphic factors", NULL, "0.1", NULL, 1e-4, 1e4);
-BTF_PARAM(floor, BTF_PARAM_FLOAT,
+BTF_PARAM(log_floor, BTF_PARAM_FLOAT,
           "least value to take the logarithm of, relative to the largest of the ABRDF", NULL, "0.001", NULL,
           1e-6, 1);
 BTF_PARAM(storage, BTF_PARAM_CHOICE, "values of maps and scales", NULL, "u8", storages, 0, 0);
@@ -51,8 +51,8 @@ BTF_PARAM(rotate, BTF_PARAM_BOOL, "turn each ABRDF to its direction of maximal a
 BTF_PARAM(levels, BTF_PARAM_INT, "levels of detail, 0 = all", NULL, "0", NULL, 0, CMF_MAX_LEVELS);
 
 static const btf_param_desc *const params[] = {
-    &factors, &chain, &method,  &residue,  &average, &symmetric, &grid,   &resolution, &edge, &epsilon,
-    &lambda,  &floor, &storage, &codebook, &cluster, &samples,   &rotate, &levels,     NULL};
+    &factors, &chain,     &method,  &residue,  &average, &symmetric, &grid,   &resolution, &edge, &epsilon,
+    &lambda,  &log_floor, &storage, &codebook, &cluster, &samples,   &rotate, &levels,     NULL};
 
 static uint32_t level_count(const void *state) {
   return ((const btfi_cmf_state *)state)->levels;

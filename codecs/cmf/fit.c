@@ -42,7 +42,7 @@ static btf_status read_options(btfi_cmf_fitting *f, const btf_options *options) 
   f->samples = (uint64_t)host->option(options, "samples");
   f->rotate = host->option(options, "rotate") != 0.0;
   f->lambda = host->option(options, "lambda");
-  f->floor = host->option(options, "floor");
+  f->floor = host->option(options, "log_floor");
   f->levels = (uint32_t)host->option(options, "levels");
   if (f->samples == 0) f->samples = UINT32_MAX;
   return read_chain(f, options);
@@ -85,7 +85,8 @@ static void *take(btfi_cmf_fitting *f, uint64_t count, uint64_t size) {
 
 static btf_status create_hf(btfi_cmf_fitting *f) {
   const btfi_cmf_geometry *g = f->geometry;
-  btfi_cmf_hf_geometry hf = {.pairs = f->pairs, .maps = f->factors, .edge = f->settings.edge};
+  btfi_cmf_hf_geometry hf = {
+      .pairs = f->pairs, .maps = f->factors, .width = f->settings.edge, .height = f->settings.edge};
   const uint64_t taps = (uint64_t)f->pairs * f->factors * 4;
   uint32_t *texel = f->host->alloc(f->ctx, taps, sizeof *texel);
   float *weight = f->host->alloc(f->ctx, taps, sizeof *weight);
