@@ -15,12 +15,14 @@ enum { MAP_SWEEPS = 4, NONNEGATIVE_SWEEPS = 60 };
 
 /* Arrays of one thread. `pairs` are views x lights, lights fastest. */
 typedef struct scratch {
-  v4 *f, *approximation, *value, *ratio, *weight; /* pairs */
-  v4 *matrix, *matrix_weight;                     /* largest matrix of a stage */
-  v4 *row, *column, *before, *scale;              /* largest domain */
-  v4 *map[2], *change;                            /* map texels */
-  v4 *at[2];                                      /* pairs */
-  float *plain, *p, *q, *hals;                    /* of the non-negative factorisation */
+  v4 *f, *approximation, *ratio, *weight; /* pairs */
+  v4 *values, *value;                     /* pairs of each stage; of the one at work */
+  v4 *old_value, *old_maps;               /* of a stage that is fitted again */
+  v4 *matrix, *matrix_weight;             /* largest matrix of a stage */
+  v4 *row, *column, *before, *scale;      /* largest domain */
+  v4 *map[2], *change;                    /* map texels */
+  v4 *at[2];                              /* pairs */
+  float *plain, *p, *q, *hals;            /* of the non-negative factorisation */
 } scratch;
 
 static v4 splat(float value) {
@@ -56,6 +58,17 @@ static uint64_t largest_matrix(const btfi_cmf_geometry *g, uint32_t *domain) {
   return cells;
 }
 
+static uint32_t stage_factors(const btfi_cmf_stage *stage) {
+  return stage->terms * (stage->mean ? 1 : 2);
+}
+
+static uint32_t largest_stage(const btfi_cmf_geometry *g) {
+  uint32_t most = 0;
+  for (uint32_t i = 0; i < g->settings.stage_count; i++)
+    if (stage_factors(&g->settings.stage[i]) > most) most = stage_factors(&g->settings.stage[i]);
+  return most;
+}
+
 /* Places the arrays at `base`, or with NULL only counts their bytes. */
 static uint64_t place(const btfi_cmf_geometry *g, unsigned char *base, scratch *out) {
   uint32_t domain;
@@ -70,7 +83,9 @@ static uint64_t place(const btfi_cmf_geometry *g, unsigned char *base, scratch *
   } const list[] = {
       {&out->f, 16 * pairs},
       {&out->approximation, 16 * pairs},
-      {&out->value, 16 * pairs},
+      {&out->values, 16 * pairs * g->settings.stage_count},
+      {&out->old_value, 16 * pairs},
+      {&out->old_maps, 16 * texels * largest_stage(g)},
       {&out->ratio, 16 * pairs},
       {&out->weight, 16 * pairs},
       {&out->matrix, 16 * cells},
@@ -286,23 +301,23 @@ static void store_map(const group *c, const v4 *map, v4 scale) {
 
 /* What is left for a stage: f over the approximation so far, or the numerators and weights of its least
  * squares. */
-static void make_residue(const group *c, uint32_t stage, btfi_cmf_report *report) {
+static void make_residue(const group *c, bool first, bool has_weight, btfi_cmf_report *report) {
   const btfi_cmf_geometry *g = c->g;
   scratch *s = c->s;
   const v4 least = splat((float)g->settings.epsilon);
   for (uint32_t p = 0; p < g->pairs; p++) {
     const v4 floor = largest(s->approximation[p], least);
-    if (stage == 0) {
+    if (first) {
       s->ratio[p] = s->f[p];
-    } else if (g->settings.residue == CMF_WEIGHTED) {
+    } else if (has_weight) {
       s->ratio[p] = s->f[p] * floor;
       s->weight[p] = floor * floor;
     } else {
       s->ratio[p] = s->f[p] / floor;
     }
-    for (uint32_t k = 0; k < c->count && stage > 0; k++) report->masked += s->approximation[p][k] < least[k];
+    for (uint32_t k = 0; k < c->count && !first; k++) report->masked += s->approximation[p][k] < least[k];
   }
-  if (stage > 0) report->divided += (uint64_t)g->pairs * c->count;
+  if (!first) report->divided += (uint64_t)g->pairs * c->count;
 }
 
 static void mean_stage(const group *c, const btfi_cmf_stage_geometry *s, bool has_weight) {
@@ -462,26 +477,96 @@ static void add_errors(const group *c, btfi_cmf_report *report) {
   report->samples += (uint64_t)c->g->pairs * c->count;
 }
 
+static void load_map(const group *c, const float *maps, uint32_t factor, v4 *map) {
+  const float *from = maps + (size_t)factor * c->g->map_texels * c->channels + c->first;
+  for (uint32_t t = 0; t < c->g->map_texels; t++) {
+    map[t] = splat(0.0f);
+    for (uint32_t k = 0; k < c->count; k++) map[t][k] = from[(size_t)t * c->channels + k];
+  }
+}
+
+static void fit_stage(group *c, uint32_t stage, bool first, bool has_weight, btfi_cmf_report *report) {
+  const btfi_cmf_stage_geometry *geometry = &c->g->stage[stage];
+  c->s->value = c->s->values + (size_t)stage * c->g->pairs;
+  make_residue(c, first, has_weight, report);
+  if (geometry->stage.mean) {
+    mean_stage(c, geometry, has_weight);
+    finish_term(c, geometry, stage, 0);
+  } else {
+    matrix_stage(c, geometry, stage, has_weight);
+  }
+}
+
+/* The product of all stages but one (or of all, if there is no such stage). */
+static void multiply_stages(const group *c, uint32_t but) {
+  v4 *const product = c->s->approximation;
+  for (uint32_t p = 0; p < c->g->pairs; p++) product[p] = splat(1.0f);
+  for (uint32_t stage = 0; stage < c->g->settings.stage_count; stage++) {
+    const v4 *value = c->s->values + (size_t)stage * c->g->pairs;
+    for (uint32_t p = 0; p < c->g->pairs && stage != but; p++) product[p] *= value[p];
+  }
+}
+
+static v4 stage_error(const group *c, const v4 *value) {
+  v4 error = splat(0.0f);
+  for (uint32_t p = 0; p < c->g->pairs; p++) {
+    const v4 d = c->s->f[p] - c->s->approximation[p] * value[p];
+    error += d * d;
+  }
+  return error;
+}
+
+/* Fits a stage again, to what all the others leave; channels that gain nothing keep what they had. Returns
+ * whether a channel gained more than a thousandth. */
+static bool refit_stage(group *c, uint32_t stage, uint32_t first_factor, btfi_cmf_report *report) {
+  const btfi_cmf_geometry *g = c->g;
+  const uint32_t factors = stage_factors(&g->settings.stage[stage]);
+  v4 *const value = c->s->values + (size_t)stage * g->pairs;
+  bool gained = false;
+  multiply_stages(c, stage);
+  memcpy(c->s->old_value, value, g->pairs * sizeof *value);
+  for (uint32_t i = 0; i < factors; i++)
+    load_map(c, c->maps, first_factor + i, c->s->old_maps + (size_t)i * g->map_texels);
+  const v4 before = stage_error(c, value);
+  c->factor = first_factor;
+  fit_stage(c, stage, false, true, report);
+  const v4 after = stage_error(c, value);
+  for (uint32_t k = 0; k < c->count; k++) {
+    gained = gained || after[k] < 0.999f * before[k];
+    if (after[k] < before[k]) continue;
+    for (uint32_t p = 0; p < g->pairs; p++) value[p][k] = c->s->old_value[p][k];
+    for (uint32_t i = 0; i < factors; i++) {
+      const v4 *map = c->s->old_maps + (size_t)i * g->map_texels;
+      float *to = c->maps + (size_t)(first_factor + i) * g->map_texels * c->channels + c->first + k;
+      for (uint32_t t = 0; t < g->map_texels; t++) to[(size_t)t * c->channels] = map[t][k];
+    }
+  }
+  return gained;
+}
+
 static void factor_group(group *c, const float *abrdf, btfi_cmf_report *report) {
   const btfi_cmf_geometry *g = c->g;
+  const uint32_t stages = g->settings.stage_count;
   scratch *s = c->s;
   load_group(c, abrdf, s->f, &c->peak);
   for (uint32_t p = 0; p < g->pairs; p++) {
     s->f[p] = quotient(s->f[p], c->peak);
     s->approximation[p] = splat(1.0f);
   }
-  for (uint32_t stage = 0; stage < g->settings.stage_count; stage++) {
-    const btfi_cmf_stage_geometry *geometry = &g->stage[stage];
-    const bool has_weight = stage > 0 && g->settings.residue == CMF_WEIGHTED;
-    make_residue(c, stage, report);
-    if (geometry->stage.mean) {
-      mean_stage(c, geometry, has_weight);
-      finish_term(c, geometry, stage, 0);
-    } else {
-      matrix_stage(c, geometry, stage, has_weight);
-    }
+  for (uint32_t stage = 0; stage < stages; stage++) {
+    fit_stage(c, stage, stage == 0, stage > 0 && g->settings.residue == CMF_WEIGHTED, report);
     for (uint32_t p = 0; p < g->pairs; p++) s->approximation[p] *= s->value[p];
   }
+  bool gained = stages > 1;
+  for (uint32_t sweep = 0; sweep < g->settings.sweeps && gained; sweep++) {
+    uint32_t factor = 0;
+    gained = false;
+    for (uint32_t stage = 0; stage < stages; stage++) {
+      gained |= refit_stage(c, stage, factor, report);
+      factor += stage_factors(&g->settings.stage[stage]);
+    }
+  }
+  if (g->settings.sweeps > 0) multiply_stages(c, stages);
   add_errors(c, report);
 }
 
@@ -496,14 +581,6 @@ void btfi_cmf_factor_abrdf(const btfi_cmf_geometry *geometry, uint32_t channels,
   }
 }
 
-static void load_map(const group *c, const float *maps, uint32_t factor, v4 *map) {
-  const float *from = maps + (size_t)factor * c->g->map_texels * c->channels + c->first;
-  for (uint32_t t = 0; t < c->g->map_texels; t++) {
-    map[t] = splat(0.0f);
-    for (uint32_t k = 0; k < c->count; k++) map[t][k] = from[(size_t)t * c->channels + k];
-  }
-}
-
 static void measure_group(group *c, const float *abrdf, const float *maps, btfi_cmf_report *report) {
   const btfi_cmf_geometry *g = c->g;
   scratch *s = c->s;
@@ -512,6 +589,7 @@ static void measure_group(group *c, const float *abrdf, const float *maps, btfi_
   for (uint32_t p = 0; p < g->pairs; p++) s->approximation[p] = splat(1.0f);
   for (uint32_t stage = 0; stage < g->settings.stage_count; stage++) {
     const btfi_cmf_stage_geometry *geometry = &g->stage[stage];
+    s->value = s->values;
     for (uint32_t term = 0; term < geometry->stage.terms; term++) {
       for (uint32_t k = 0; k < geometry->sides; k++) {
         load_map(c, maps, c->factor++, s->map[k]);

@@ -35,6 +35,7 @@ static btf_status read_options(btfi_cmf_fitting *f, const btf_options *options) 
   s->grid = (uint32_t)host->option(options, "grid");
   s->resolution = (uint32_t)host->option(options, "resolution");
   s->edge = (uint32_t)host->option(options, "edge");
+  s->sweeps = (uint32_t)host->option(options, "sweeps");
   s->epsilon = host->option(options, "epsilon");
   f->storage = (uint32_t)host->option(options, "storage");
   f->entries = (uint32_t)host->option(options, "codebook");
