@@ -1,0 +1,2 @@
+#include "btf_test.h"
+int main(void){return 0;}
