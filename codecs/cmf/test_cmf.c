@@ -185,7 +185,7 @@ static void test_sizes(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-/* ---- FAC09, FAC10 ---- */
+/* ---- FAC09 ---- */
 
 static void test_normalisation(void **unused) {
   (void)unused;
@@ -233,42 +233,6 @@ static void test_normalisation(void **unused) {
   btf_model_release(exact);
   btf_model_release(bytes);
   btf_model_release(halves);
-  material_release(&m);
-  test_context_done(ctx, &memory);
-}
-
-/* Bytes cost chained factors little and homomorphic ones, whose range is larger, much. */
-static void test_quantisation_of_methods(void **unused) {
-  (void)unused;
-  btf_context *ctx = test_context(&memory);
-  material m = material_create(ctx, BUMPS, "grid:8x4", 4, 4, 3);
-  const char *const methods[] = {"method=svd", "method=svd residue=ratio sweeps=0", "method=homomorphic"};
-  double drop[3], range[3];
-  for (int i = 0; i < 3; i++) {
-    char settings[128];
-    snprintf(settings, sizeof settings, "codebook=0 levels=1 storage=f32 %s", methods[i]);
-    btf_model *model = fit(ctx, &m, settings);
-    const double exact = squared_error(model, &m);
-    double most = 0.0, sum = 0.0;
-    for (uint32_t t = 0; t < 16; t++)
-      for (uint32_t k = 0; k < 3072; k++) {
-        float value;
-        memcpy(&value, state_of(model)->table[0][0] + t * state_of(model)->entry_bytes + 4 * k, sizeof value);
-        most = fmax(most, (double)value);
-        sum += (double)value / (16 * 3072);
-      }
-    range[i] = most / sum;
-    btf_model_release(model);
-    snprintf(settings, sizeof settings, "codebook=0 levels=1 storage=u8 %s", methods[i]);
-    model = fit(ctx, &m, settings);
-    drop[i] = 10.0 * log10(squared_error(model, &m) / exact);
-    btf_model_release(model);
-    print_message("%s: relative error %.4f, largest over mean factor %.2f, bytes lose %.3f dB\n", methods[i],
-                  sqrt(exact), range[i], drop[i]);
-  }
-  assert_true(drop[0] <= 1.0 && drop[1] <= 1.0);
-  assert_true(drop[2] > 2.0 * fmax(drop[0], 0.1));
-  assert_true(range[2] > range[0]);
   material_release(&m);
   test_context_done(ctx, &memory);
 }
@@ -739,7 +703,6 @@ int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_sizes),
       cmocka_unit_test(test_normalisation),
-      cmocka_unit_test(test_quantisation_of_methods),
       cmocka_unit_test(test_blends_texels),
       cmocka_unit_test(test_batches_and_instruction_sets),
       cmocka_unit_test(test_codebooks),
