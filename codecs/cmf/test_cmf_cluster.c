@@ -397,9 +397,8 @@ static void test_assignment_is_exact(void **unused) {
     free(s.values);
     free(book.values);
   }
-  /* Entries that differ by less than the rounding of products: 1000 apart from zero, differences of a
-   * thousandth; the vectors are scattered too, so that no origin is close to all. Among them are equal
-   * entries. */
+  /* Entries that differ by far less than they are from zero, among them equal ones; vectors that are some of
+   * them. */
   uint64_t seed = 8;
   sample s = sample_create(120, 300), book = sample_create(40, 300);
   for (uint64_t i = 0; i < 40 * 300; i++) book.values[i] = (float)(1000.0 + 0.001 * random_normal(&seed));
@@ -407,6 +406,14 @@ static void test_assignment_is_exact(void **unused) {
   memcpy(book.values + 39 * 300, book.values, 300 * sizeof(float));
   for (uint64_t i = 0; i < 120 * 300; i++) s.values[i] = (float)(1000.0 + 100.0 * random_normal(&seed));
   for (uint64_t e = 0; e < 40; e++) memcpy(s.values + e * 300, book.values + e * 300, 300 * sizeof(float));
+  check_assign(ctx, &s, book.values, 40);
+  /* Vectors half-way between two entries: rounding them to floats decides, by less than products in floats
+   * can tell. */
+  for (uint64_t i = 0; i < 40 * 300; i++) book.values[i] = (float)random_normal(&seed);
+  for (uint64_t v = 0; v < 120; v++)
+    for (uint64_t i = 0; i < 300; i++)
+      s.values[v * 300 + i] =
+          0.5f * (book.values[v % 40 * 300 + i] + book.values[(v + 1 + v / 40) % 40 * 300 + i]);
   check_assign(ctx, &s, book.values, 40);
   free(s.values);
   free(book.values);
@@ -437,6 +444,13 @@ static void test_extreme_scales(void **unused) {
     free(scaled.values);
     free(entries.values);
   }
+  /* Products overflow although the entries' squares do not. */
+  sample far = sample_create(60, 80);
+  for (uint32_t i = 0; i < 60 * 80; i++) far.values[i] = ldexpf(s.values[i], 72);
+  for (uint32_t i = 0; i < 10 * 80; i++)
+    book.values[i] = ldexpf(book.values[i], 56) * (i / 80 % 2 ? -1.0f : 1.0f);
+  check_assign(ctx, &far, book.values, 10);
+  free(far.values);
   free(s.values);
   free(book.values);
   test_context_done(ctx, &memory);
