@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* start.c: where k-means starts. Two assignments are found and improved in a sketch of the vectors, and the
+/* seeds.c: where k-means starts. Two assignments are found and improved in a sketch of the vectors, and the
  * better one is taken: that of greedy k-means++, whose seeds are single vectors and find clusters that stand
  * apart; and that of a tree, whose cells are averages and follow variation that is hidden in noise.
  *
