@@ -79,7 +79,7 @@ static btf_status run_tree(btfi_cmf_clustering *c) {
   return BTF_OK;
 }
 
-static btf_status run(btfi_cmf_clustering *c, uint64_t used) {
+static btf_status run(btfi_cmf_clustering *c, const uint32_t *start, uint64_t used) {
   const btf_host *host = c->host;
   btfi_cmf_codebook *out = c->out;
   BTF_TRY(btfi_cmf_search_create(host, c->ctx, c->vectors, c->entries, c->options->max_working_set, used,
@@ -91,13 +91,48 @@ static btf_status run(btfi_cmf_clustering *c, uint64_t used) {
   c->distance = host->alloc(c->ctx, c->vectors->count, sizeof *c->distance);
   if (out->values == NULL || out->index == NULL || out->history == NULL || c->distance == NULL)
     return BTF_E_NOMEM;
-  BTF_TRY(c->options->method == CMF_KMEANS ? btfi_cmf_kmeans(c) : run_tree(c));
+  if (c->options->method != CMF_KMEANS) {
+    BTF_TRY(run_tree(c));
+  } else if (start != NULL) {
+    memcpy(out->index, start, c->vectors->count * sizeof *start);
+    BTF_TRY(btfi_cmf_lloyd(c, c->from));
+  } else {
+    const double from = c->from + 0.3 * (c->to - c->from);
+    BTF_TRY(btfi_cmf_start(c, from));
+    BTF_TRY(btfi_cmf_lloyd(c, from));
+  }
   return drop_unused(c);
 }
 
-btf_status btfi_cmf_cluster(const btf_host *host, btf_context *ctx, const btfi_cmf_vectors *vectors,
-                            const btfi_cmf_cluster_options *options, const btf_job *job, double from,
-                            double to, const char *stage, btfi_cmf_codebook *out) {
+static void set_defaults(btfi_cmf_cluster_options *options, uint64_t count) {
+  if (options->max_iterations == 0) options->max_iterations = 100;
+  if (options->tolerance == 0.0) options->tolerance = 1e-4;
+  if (options->max_working_set == 0) options->max_working_set = UINT64_C(1) << 30;
+  if (options->entries > count) options->entries = (uint32_t)count;
+}
+
+uint64_t btfi_cmf_cluster_bytes(const btfi_cmf_cluster_options *options, int started, uint64_t count,
+                                uint32_t length, uint32_t threads) {
+  const btfi_cmf_codebook *out;
+  btfi_cmf_cluster_options set = *options;
+  set_defaults(&set, count);
+  uint64_t own;
+  if (set.method == CMF_KMEANS) {
+    const uint64_t start = started ? 0 : btfi_cmf_start_bytes(count, length, set.entries, threads);
+    own = btfi_cmf_lloyd_bytes(count, length, set.entries, threads);
+    if (own < start) own = start;
+  } else {
+    own = btfi_cmf_tree_bytes(count, length, set.entries, threads);
+  }
+  return own + count * (sizeof *out->index + sizeof(double)) +
+         (uint64_t)set.entries * length * sizeof *out->values +
+         (uint64_t)set.max_iterations * sizeof *out->history + (uint64_t)set.entries * sizeof(uint32_t);
+}
+
+btf_status btfi_cmf_cluster_from(const btf_host *host, btf_context *ctx, const btfi_cmf_vectors *vectors,
+                                 const btfi_cmf_cluster_options *options, const uint32_t *start,
+                                 const btf_job *job, double from, double to, const char *stage,
+                                 btfi_cmf_codebook *out) {
   btfi_cmf_cluster_options set = *options;
   btfi_cmf_clustering c = {.host = host,
                            .ctx = ctx,
@@ -110,20 +145,19 @@ btf_status btfi_cmf_cluster(const btf_host *host, btf_context *ctx, const btfi_c
                            .out = out};
   memset(out, 0, sizeof *out);
   BTF_TRY(check_vectors(host, ctx, vectors, set.entries));
-  if (set.max_iterations == 0) set.max_iterations = 100;
-  if (set.tolerance == 0.0) set.tolerance = 1e-3;
-  if (set.max_working_set == 0) set.max_working_set = UINT64_C(1) << 30;
-  c.entries = set.entries < vectors->count ? set.entries : (uint32_t)vectors->count;
-  const uint32_t threads = host->thread_count(ctx);
-  const uint64_t own = set.method == CMF_KMEANS
-                           ? btfi_cmf_kmeans_bytes(vectors->count, vectors->length, c.entries, threads)
-                           : btfi_cmf_tree_bytes(vectors->count, vectors->length, c.entries, threads);
-  const uint64_t used = own + vectors->count * (sizeof *out->index + sizeof *c.distance) +
-                        (uint64_t)c.entries * vectors->length * sizeof *out->values +
-                        (uint64_t)set.max_iterations * sizeof *out->history;
-  const btf_status status = run(&c, used);
+  set_defaults(&set, vectors->count);
+  c.entries = set.entries;
+  const btf_status status = run(
+      &c, start,
+      btfi_cmf_cluster_bytes(&set, start != NULL, vectors->count, vectors->length, host->thread_count(ctx)));
   btfi_cmf_search_free(&c.search);
   host->free(ctx, c.distance);
   if (status != BTF_OK) btfi_cmf_codebook_free(host, ctx, out);
   return status;
+}
+
+btf_status btfi_cmf_cluster(const btf_host *host, btf_context *ctx, const btfi_cmf_vectors *vectors,
+                            const btfi_cmf_cluster_options *options, const btf_job *job, double from,
+                            double to, const char *stage, btfi_cmf_codebook *out) {
+  return btfi_cmf_cluster_from(host, ctx, vectors, options, NULL, job, from, to, stage, out);
 }

@@ -28,7 +28,7 @@ typedef struct btfi_cmf_cluster_options {
   uint32_t method;         /* CMF_KMEANS .. */
   uint32_t entries;        /* wanted, 1 .. CMF_MAX_ENTRIES */
   uint32_t max_iterations; /* of k-means; 0 = 100 */
-  double tolerance; /* k-means stops when an iteration gains less than this part of the inertia; 0 = 1e-3 */
+  double tolerance; /* k-means stops when an iteration gains less than this part of the inertia; 0 = 1e-4 */
   uint64_t seed;
   uint64_t max_working_set; /* bytes beside the vectors and with the result; 0 = 1 GiB */
 } btfi_cmf_cluster_options;

@@ -19,17 +19,25 @@ typedef struct btfi_cmf_clustering {
   btfi_cmf_codebook *out;
 } btfi_cmf_clustering;
 
-/* Bytes beside the codebook, the search and 12 bytes a vector. */
-uint64_t btfi_cmf_kmeans_bytes(uint64_t count, uint32_t length, uint32_t entries, uint32_t threads);
-uint64_t btfi_cmf_tree_bytes(uint64_t count, uint32_t length, uint32_t entries, uint32_t threads);
-btf_status btfi_cmf_kmeans(btfi_cmf_clustering *c);
-/* Makes entries; vectors are assigned afterwards. */
-btf_status btfi_cmf_tree(btfi_cmf_clustering *c);
+/* btfi_cmf_cluster with an assignment that k-means starts from; NULL = find one. Entries it leaves out are
+ * filled. */
+btf_status btfi_cmf_cluster_from(const btf_host *host, btf_context *ctx, const btfi_cmf_vectors *vectors,
+                                 const btfi_cmf_cluster_options *options, const uint32_t *start,
+                                 const btf_job *job, double from, double to, const char *stage,
+                                 btfi_cmf_codebook *out);
+/* What it needs of a budget, but for the search. */
+uint64_t btfi_cmf_cluster_bytes(const btfi_cmf_cluster_options *options, int started, uint64_t count,
+                                uint32_t length, uint32_t threads);
 
-/* Starting entries of k-means (seeds.c). Bytes beside that. */
-uint64_t btfi_cmf_seeds_bytes(uint64_t count, uint32_t length, uint32_t threads);
-/* Vectors that start k-means. Places that remain when all distances are 0 get the first one again. */
-btf_status btfi_cmf_seeds(btfi_cmf_clustering *c, double to, uint32_t *ids);
+/* Lloyd's iterations from out->index. Bytes beside the codebook, the search and `distance`; so below. */
+uint64_t btfi_cmf_lloyd_bytes(uint64_t count, uint32_t length, uint32_t entries, uint32_t threads);
+btf_status btfi_cmf_lloyd(btfi_cmf_clustering *c, double from);
+/* Sets out->index to where k-means starts. */
+uint64_t btfi_cmf_start_bytes(uint64_t count, uint32_t length, uint32_t entries, uint32_t threads);
+btf_status btfi_cmf_start(btfi_cmf_clustering *c, double to);
+/* Makes entries; vectors are assigned afterwards. */
+uint64_t btfi_cmf_tree_bytes(uint64_t count, uint32_t length, uint32_t entries, uint32_t threads);
+btf_status btfi_cmf_tree(btfi_cmf_clustering *c);
 
 /* The sum of the distances. */
 double btfi_cmf_inertia(const double *distance, uint64_t count);

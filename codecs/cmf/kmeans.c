@@ -32,12 +32,10 @@ typedef struct far_vector {
   uint32_t id;
 } far_vector;
 
-uint64_t btfi_cmf_kmeans_bytes(uint64_t count, uint32_t length, uint32_t entries, uint32_t threads) {
-  const uint64_t own = count * (sizeof(double) + 2 * sizeof(uint32_t)) + (entries + UINT64_C(1)) * 17 +
-                       (uint64_t)threads * length * (sizeof(double) + sizeof(float));
-  const uint64_t seeds = btfi_cmf_seeds_bytes(count, length, threads);
+uint64_t btfi_cmf_lloyd_bytes(uint64_t count, uint32_t length, uint32_t entries, uint32_t threads) {
   const uint64_t filling = count * sizeof(far_vector) + 2 * (uint64_t)length * sizeof(float);
-  return own + (seeds > filling ? seeds : filling);
+  return count * (sizeof(double) + 2 * sizeof(uint32_t)) + (entries + UINT64_C(1)) * 17 +
+         (uint64_t)threads * length * (sizeof(double) + sizeof(float)) + filling;
 }
 
 double btfi_cmf_inertia(const double *distance, uint64_t count) {
@@ -209,11 +207,23 @@ static double along(const btfi_cmf_clustering *c, double from, uint32_t iteratio
   return from + (c->to - from) * iterations / (iterations + 8.0);
 }
 
+/* Entries from the assignment that is given; any without vectors begin as the first vector. */
+static btf_status start_entries(lloyd *k) {
+  const btfi_cmf_clustering *c = k->c;
+  memset(k->changed, 1, k->entries);
+  order_by_entry(k);
+  for (uint32_t e = 0; e < k->entries; e++)
+    if (k->start[e + 1] == k->start[e])
+      c->vectors->read(c->vectors->user, 0, c->out->values + (size_t)e * c->vectors->length);
+  return c->host->parallel(c->ctx, k->entries, average_entry, k);
+}
+
 static btf_status iterate(lloyd *k, double from) {
   btfi_cmf_clustering *c = k->c;
   const uint64_t count = c->vectors->count;
   btfi_cmf_codebook *out = c->out;
   btfi_cmf_search_report report = {c->job, from, along(c, from, 1), c->stage};
+  BTF_TRY(start_entries(k));
   BTF_TRY(btfi_cmf_search_prepare(&c->search, out->values, k->entries));
   BTF_TRY(btfi_cmf_search_run(&c->search, NULL, count, &report, out->index, c->distance, k->others));
   out->history[out->iterations++] = out->inertia = btfi_cmf_inertia(c->distance, count);
@@ -230,13 +240,13 @@ static btf_status iterate(lloyd *k, double from) {
   return BTF_OK;
 }
 
-btf_status btfi_cmf_kmeans(btfi_cmf_clustering *c) {
+btf_status btfi_cmf_lloyd(btfi_cmf_clustering *c, double from) {
   const btf_host *host = c->host;
   const uint64_t count = c->vectors->count;
   const uint32_t length = c->vectors->length, threads = host->thread_count(c->ctx);
   lloyd k = {.c = c, .entries = c->entries};
-  const double from = c->from + 0.1 * (c->to - c->from);
   btf_status status = BTF_E_NOMEM;
+  c->out->entries = k.entries;
   k.sums = host->alloc(c->ctx, threads, length * sizeof *k.sums);
   k.rows = host->alloc(c->ctx, threads, length * sizeof *k.rows);
   k.others = host->alloc(c->ctx, count, sizeof *k.others);
@@ -247,13 +257,7 @@ btf_status btfi_cmf_kmeans(btfi_cmf_clustering *c) {
   k.changed = host->alloc(c->ctx, k.entries, sizeof *k.changed);
   if (k.sums != NULL && k.rows != NULL && k.others != NULL && k.order != NULL && k.before != NULL &&
       k.start != NULL && k.moved != NULL && k.changed != NULL)
-    status = btfi_cmf_seeds(c, from, k.order);
-  if (status == BTF_OK) {
-    for (uint32_t e = 0; e < k.entries; e++)
-      c->vectors->read(c->vectors->user, k.order[e], c->out->values + (size_t)e * length);
-    c->out->entries = k.entries;
     status = iterate(&k, from);
-  }
   host->free(c->ctx, k.sums);
   host->free(c->ctx, k.rows);
   host->free(c->ctx, k.others);
