@@ -3,15 +3,17 @@
  * Every allocation, read, write, system call and progress report on the way from samples to an evaluated file
  * is made to fail in turn. Each failure must come back as a status of the right kind, with out-pointers NULL,
  * nothing leaked and no file left behind; the loop ends with the first run in which nothing was left to fail.
+ * `test_faults [CODEC...]` does so for the rows of codec_cases.c that ask for it.
  */
 #include "btf_test.h"
 
 #include <errno.h>
 #include <unistd.h>
 
+#include "codec_cases.h"
 #include "io/io.h"
 
-enum { SIDE = 6, DIRECTIONS = 10, CHANNELS = 3, MOST_FAULTS = 20000 };
+enum { MOST_CHANNELS = 4, MOST_FAULTS = 20000 };
 
 /* What fails, counted from 1; 0 = nothing. */
 typedef struct fault {
@@ -26,7 +28,11 @@ typedef struct scenario {
   unsigned char *bytes; /* the container in memory */
   uint64_t size, capacity;
   int closes, failed_closes;
+  btf_dirset *lights, *views;
 } scenario;
+
+static const codec_case *row; /* at hand */
+static const codec_material *const material = &codec_materials[MATERIAL_TINY];
 
 static long system_calls, failing_system_call;
 
@@ -38,16 +44,17 @@ static int fail_system_call(const char *call) {
 static btf_status read_samples(void *user, const btf_block *b, void *dst, const btf_strides *s) {
   scenario *sc = user;
   if (++sc->source_reads == sc->fails.source_read) return btf_source_error(BTF_E_IO, "the source broke");
+  const float *lights = btf_dirset_directions(sc->lights), *views = btf_dirset_directions(sc->views);
+  const uint32_t channels = codec_case_channels(row, 1);
   for (uint32_t v = 0; v < b->views; v++)
     for (uint32_t l = 0; l < b->lights; l++)
       for (uint32_t y = 0; y < b->height; y++)
         for (uint32_t x = 0; x < b->width; x++)
-          for (uint32_t c = 0; c < CHANNELS; c++) {
-            const uint32_t view = b->view0 + v, light = b->light0 + l, tx = b->x0 + x, ty = b->y0 + y;
+          for (uint32_t c = 0; c < channels; c++)
             *(float *)((char *)dst + (ptrdiff_t)v * s->view + (ptrdiff_t)l * s->light + (ptrdiff_t)y * s->y +
                        (ptrdiff_t)x * s->x + (ptrdiff_t)c * s->channel) =
-                0.5f + 0.3f * sinf((float)(view * 3 + light) + 0.7f * (float)(tx * ty)) + 0.01f * (float)c;
-          }
+                codec_material_value(material, lights + 3 * (size_t)(b->light0 + l),
+                                     views + 3 * (size_t)(b->view0 + v), b->x0 + x, b->y0 + y, c);
   return BTF_OK;
 }
 
@@ -137,14 +144,13 @@ static btf_status read_container(btf_context *ctx, scenario *sc, btf_model **out
 
 static void expect_plausible(const btf_model *model) {
   const btf_query query = {{0.3f, 0.2f, 0.93f}, {-0.1f, 0.5f, 0.86f}, {0.4f, 0.6f}, 0.5f, 0};
-  float f[CHANNELS];
+  float f[MOST_CHANNELS];
   btf_model_eval(model, &query, f);
-  for (int c = 0; c < CHANNELS; c++) assert_true(f[c] > 0.0f && f[c] < 2.0f);
+  for (uint32_t c = 0; c < codec_case_channels(row, 1); c++) assert_true(f[c] > 0.0f && f[c] < 2.0f);
 }
 
 /* The whole way. Returns the first status that is not BTF_OK. */
 static btf_status run_all(scenario *sc, btf_context *ctx) {
-  btf_dirset *directions = NULL;
   btf_dataset *dataset = NULL;
   btf_options *options = NULL;
   btf_model *model = NULL, *loaded = NULL;
@@ -153,21 +159,29 @@ static btf_status run_all(scenario *sc, btf_context *ctx) {
   btf_status status;
   job.progress = progress;
   job.user = sc;
-  status = btf_dirset_create_named(ctx, "grid:5x2", &directions);
-  if (status != BTF_OK) assert_null(directions);
+  status = btf_dirset_create_named(ctx, material->lights, &sc->lights);
+  if (status != BTF_OK) assert_null(sc->lights);
   if (status == BTF_OK) {
-    desc.lights = desc.views = directions;
-    desc.width = desc.height = SIDE;
-    desc.channels = CHANNELS;
+    status = btf_dirset_create_named(ctx, material->views, &sc->views);
+    if (status != BTF_OK) assert_null(sc->views);
+  }
+  if (status == BTF_OK) {
+    desc.lights = sc->lights;
+    desc.views = sc->views;
+    desc.width = material->width;
+    desc.height = material->height;
+    desc.channels = codec_case_channels(row, 1);
     desc.read = read_samples;
     desc.user = sc;
     status = btf_dataset_create(ctx, &desc, &dataset);
     if (status != BTF_OK) assert_null(dataset);
   }
-  if (status == BTF_OK) status = btf_options_create(btf_codec_find(ctx, "fmf"), &options);
-  if (status == BTF_OK) status = btf_options_set(options, "components", "4");
   if (status == BTF_OK) {
-    status = btf_model_fit(dataset, btf_codec_find(ctx, "fmf"), options, &job, &model);
+    status = codec_case_options(ctx, row, NULL, &options);
+    if (status != BTF_OK) assert_null(options);
+  }
+  if (status == BTF_OK) {
+    status = btf_model_fit(dataset, btf_codec_find(ctx, row->codec), options, &job, &model);
     if (status != BTF_OK) assert_null(model);
   }
   if (status == BTF_OK) status = write_container(ctx, sc, model, &job);
@@ -188,7 +202,8 @@ static btf_status run_all(scenario *sc, btf_context *ctx) {
   btf_model_release(model);
   btf_options_release(options);
   btf_dataset_release(dataset);
-  btf_dirset_release(directions);
+  btf_dirset_release(sc->lights);
+  btf_dirset_release(sc->views);
   return status;
 }
 
@@ -233,16 +248,18 @@ static void nothing_fails(void **state) {
   assert_ok(run_with((fault){0}));
 }
 
+/* One allocation alone, then it and all after it, of which every fourth will do: what differs is only how a
+ * failure is cleaned up. */
 static void allocations(void **state) {
   (void)state;
   for (int persistent = 0; persistent <= 1; persistent++) {
     long n = 1;
-    for (; n < MOST_FAULTS; n++) {
+    for (; n < MOST_FAULTS; n += persistent ? 4 : 1) {
       const btf_status status = run_with((fault){.allocation = n, .persistent = persistent});
       if (status == BTF_OK) break;
       assert_int_equal(status, BTF_E_NOMEM);
     }
-    print_message("%ld allocations failed in turn\n", n - 1);
+    print_message("%ld allocations\n", n - 1);
     assert_in_range(n, 20, MOST_FAULTS - 1);
   }
 }
@@ -284,12 +301,44 @@ static void cancellations(void **state) {
   LOOP(progress, BTF_E_CANCELLED, 2);
 }
 
-int main(void) {
+static int in_build(const char *codec) {
+  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
+  btf_context *ctx;
+  assert_int_equal(btf_context_create(&desc, &ctx), BTF_OK);
+  const btf_codec *found = btf_codec_find(ctx, codec);
+  const int usable = found != NULL && (btf_codec_caps(found) & BTF_CAP_FIT) != 0;
+  btf_context_release(ctx);
+  return usable;
+}
+
+static int is_asked(const char *codec, int argc, char **argv) {
+  for (int i = 1; i < argc; i++)
+    if (strcmp(argv[i], codec) == 0) return 1;
+  return argc < 2;
+}
+
+int main(int argc, char **argv) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(nothing_fails),    cmocka_unit_test(allocations),
       cmocka_unit_test(source_reads),     cmocka_unit_test(container_reads),
       cmocka_unit_test(container_writes), cmocka_unit_test(system_calls_of_files),
       cmocka_unit_test(cancellations),
   };
-  return btf_run("faults", tests);
+  int result = 0, rows = 0;
+  for (size_t i = 0; i < codec_case_count; i++) {
+    row = &codec_cases[i];
+    if (!row->faults || !is_asked(row->codec, argc, argv)) continue;
+    if (!in_build(row->codec)) {
+      print_message("%s is not in this build: its row is passed over\n", row->codec);
+      continue;
+    }
+    rows++;
+    print_message("%s %s\n", row->codec, row->options);
+    result |= btf_run("faults", tests);
+  }
+  if (rows == 0 && argc > 1) {
+    print_message("no row of tests/codec_cases.c has .faults for what was asked\n");
+    return 1;
+  }
+  return result;
 }

@@ -206,6 +206,73 @@ static void hostile_positions_and_levels_are_safe(void **state) {
   assert_int_equal(btf_sampling_level_size(5, 40), 1);
 }
 
+/* Weight of a texel of a level in a set, and of the two rules that the set stands for. */
+static double weight_in_set(const btf_texel_set *set, uint32_t level, uint32_t x, uint32_t y) {
+  double sum = 0.0;
+  for (uint32_t i = 0; i < set->count; ++i)
+    if (set->level[i] == level && set->x[i] == x && set->y[i] == y) sum += (double)set->weight[i];
+  return sum;
+}
+
+static double weight_by_rule(const float uv[2], float lod, uint32_t width, uint32_t height, uint32_t wrap,
+                             uint32_t levels, uint32_t level, uint32_t x, uint32_t y) {
+  btf_level_pair pair;
+  double sum = 0.0;
+  btf_sampling_levels(lod, levels, &pair);
+  for (int k = 0; k < 2; ++k) {
+    btf_bilinear b;
+    if (pair.level[k] != level) continue;
+    btf_sampling_bilinear(uv[0], uv[1], btf_sampling_level_size(width, level),
+                          btf_sampling_level_size(height, level), wrap, &b);
+    for (int j = 0; j < 2; ++j)
+      for (int i = 0; i < 2; ++i)
+        if (b.x[i] == x && b.y[j] == y) sum += (double)pair.weight[k] * (double)b.wx[i] * (double)b.wy[j];
+  }
+  return sum;
+}
+
+static void texel_sets_are_levels_times_bilinear(void **state) {
+  (void)state;
+  static const float hostile[] = {NAN, INFINITY, -INFINITY, 1e38f, -1e38f, 1.0f, -0.0f, 0.5f};
+  uint64_t random = 11;
+  for (int trial = 0; trial < 20000; ++trial) {
+    const uint32_t width = 1 + next_random(&random) % 9, height = 1 + next_random(&random) % 9;
+    const uint32_t wrap = next_random(&random) % 2, nearest = trial % 5 == 0;
+    const uint32_t levels = 1 + next_random(&random) % btfi_mip_count(width, height);
+    float uv[2], lod = (float)(next_random(&random) % 800) / 100.0f - 2.0f;
+    for (int k = 0; k < 2; ++k)
+      uv[k] = next_random(&random) % 10 == 0 ? hostile[next_random(&random) % 8]
+                                             : (float)next_random(&random) / 1e9f - 1.0f;
+    if (next_random(&random) % 10 == 0) lod = hostile[next_random(&random) % 8];
+    if (next_random(&random) % 4 == 0) lod = floorf(lod);
+    btf_texel_set set;
+    double total = 0.0;
+    btf_sampling_texels(uv, lod, (int)nearest, width, height, wrap, levels, &set);
+    assert_in_range(set.count, 1, nearest ? 1 : 8);
+    for (uint32_t i = 0; i < set.count; ++i) {
+      assert_true(set.level[i] < levels && set.weight[i] > 0.0f);
+      assert_true(set.x[i] < btf_sampling_level_size(width, set.level[i]));
+      assert_true(set.y[i] < btf_sampling_level_size(height, set.level[i]));
+      total += (double)set.weight[i];
+    }
+    assert_near(total, 1.0, 8 * 6e-8); /* each weight is rounded */
+    if (nearest) {
+      assert_int_equal(set.level[0], btf_sampling_nearest_level(lod, levels));
+      assert_int_equal(set.x[0],
+                       btf_sampling_nearest(uv[0], btf_sampling_level_size(width, set.level[0]), wrap));
+      assert_int_equal(set.y[0],
+                       btf_sampling_nearest(uv[1], btf_sampling_level_size(height, set.level[0]), wrap));
+      continue;
+    }
+    for (uint32_t level = 0; level < levels; ++level)
+      for (uint32_t y = 0; y < btf_sampling_level_size(height, level); ++y)
+        for (uint32_t x = 0; x < btf_sampling_level_size(width, level); ++x)
+          /* Up to four entries fall on one texel; each has two products rounded. */
+          assert_near(weight_in_set(&set, level, x, y),
+                      weight_by_rule(uv, lod, width, height, wrap, levels, level, x, y), 4 * 2 * 6e-8);
+  }
+}
+
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(levels_are_area_averages),
@@ -214,6 +281,7 @@ int main(void) {
       cmocka_unit_test(texel_centres_are_hit_exactly),
       cmocka_unit_test(positions_are_interpolated_between_centres),
       cmocka_unit_test(hostile_positions_and_levels_are_safe),
+      cmocka_unit_test(texel_sets_are_levels_times_bilinear),
   };
   return btf_run("mip", tests);
 }

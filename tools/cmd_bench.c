@@ -34,70 +34,30 @@ static const eval_mode modes[] = {
 };
 enum { mode_count = sizeof modes / sizeof *modes };
 
-/* What a query of a factored model costs: rows blended, values converted, operations, bytes. 0 = unknown. */
-typedef struct query_cost {
-  double values, flops, bytes, rows;
-} query_cost;
-
 typedef struct bench {
   const char *codec;
   btf_model_info model;
   double encode_seconds, raw_bytes, open_seconds, trusted_open_seconds;
   double rates[mode_count]; /* queries a second */
-  query_cost costs[mode_count];
-  double value_bytes; /* of stored values; 0 = unknown */
+  btf_eval_cost costs[mode_count];
   bench_bounds bounds;
 } bench;
 
 /* ---- cost ---- */
 
-/* Bytes of a stored value, as the recorded command or the codec's default says. */
-static double stored_value_bytes(const btf_codec *codec, const char *command) {
-  char storage[16] = "";
-  const char *found = command != NULL ? strstr(command, "storage=") : NULL;
-  if (found != NULL) {
-    snprintf(storage, sizeof storage, "%.*s", (int)strcspn(found + 8, " '"), found + 8);
-  } else {
-    for (uint32_t i = 0; codec != NULL && i < btf_codec_param_count(codec); i++) {
-      btf_param_desc p = {0};
-      p.struct_size = sizeof p;
-      if (btf_codec_param(codec, i, &p) == BTF_OK && strcmp(p.name, "storage") == 0 && p.default_text != NULL)
-        snprintf(storage, sizeof storage, "%s", p.default_text);
-    }
+static void ask_costs(bench *b, const btf_model *model) {
+  for (int i = 0; i < mode_count; i++) {
+    const uint32_t flags = (modes[i].nearest ? BTF_QUERY_NEAREST : 0u) |
+                           (modes[i].order == BENCH_SHARED ? BTF_COST_SHARED_DIRECTIONS : 0u);
+    b->costs[i] = (btf_eval_cost)BTF_EVAL_COST_INIT;
+    btf_model_cost(model, flags, &b->costs[i]);
   }
-  if (strcmp(storage, "f32") == 0) return 4;
-  if (strcmp(storage, "f16") == 0 || strcmp(storage, "bf16") == 0) return 2;
-  if (strcmp(storage, "q8") == 0 || strcmp(storage, "u8") == 0 || strcmp(storage, "8bit") == 0) return 1;
-  return 0;
 }
 
-/* A linear codec of one factor for directions and one for texels keeps a row for each pair of directions and
- * channel and one for each texel of each level: their mean size follows from the memory it may touch. 0 =
- * another kind of codec. */
-static double mean_row_bytes(const bench *b) {
-  const btf_model_info *m = &b->model;
-  double texels = 0;
-  if (!(m->caps & BTF_CAP_LINEAR) || m->resident_bytes == 0 || b->value_bytes == 0) return 0;
-  for (uint32_t level = 0; level < m->levels; level++)
-    texels += fmax(1, m->width >> level) * fmax(1, m->height >> level);
-  return (double)m->resident_bytes /
-         ((double)btf_dirset_count(m->lights) * btf_dirset_count(m->views) * m->channels + texels);
-}
-
-static query_cost cost_of(const bench *b, const eval_mode *mode) {
-  const uint32_t channels = b->model.channels;
-  const double row_bytes = mean_row_bytes(b);
-  const double direction_rows = mode->order == BENCH_SHARED ? 0 : mode->nearest ? 1 : 9;
-  const double texel_rows = mode->nearest ? 1 : 4;
-  query_cost cost = {0, 0, 0, 0};
-  if (!(row_bytes > 0)) return cost;
-  /* The channels of a pair of directions lie beside each other: one place in memory. */
-  cost.rows = direction_rows + texel_rows / channels;
-  cost.bytes = (direction_rows * channels + texel_rows) * row_bytes;
-  cost.values = cost.bytes / b->value_bytes;
-  /* A multiply-add for each value blended, and one for each component and channel of the product. */
-  cost.flops = 2 * (cost.values + channels * row_bytes / b->value_bytes);
-  return cost;
+/* Mean size of what a random query reads at one place; 0 = unknown. */
+static double row_bytes(const bench *b) {
+  const btf_eval_cost *cost = &b->costs[0];
+  return cost->rows > 0 ? cost->bytes / cost->rows : 0;
 }
 
 /* ---- measuring ---- */
@@ -147,7 +107,8 @@ static int measure_evaluation(cli *c, bench *b, const btf_model *model, double s
   bench_queries *queries = calloc((size_t)sets * BENCH_ORDERS, sizeof *queries);
   bench_buffers buffers = {0};
   int failed = queries != NULL ? bench_buffers_create(&buffers) : cli_out_of_memory();
-  buffers.row_bytes = (size_t)(mean_row_bytes(b) * b->model.channels);
+  ask_costs(b, model);
+  buffers.row_bytes = (size_t)row_bytes(b);
   buffers.span = (size_t)b->model.resident_bytes;
   for (int order = 0; order < BENCH_ORDERS && !failed; order++)
     for (uint32_t t = 0; t < sets && !failed; t++)
@@ -166,7 +127,6 @@ static int measure_evaluation(cli *c, bench *b, const btf_model *model, double s
   for (uint32_t i = 0; queries != NULL && i < sets * BENCH_ORDERS; i++) bench_queries_free(&queries[i]);
   free(queries);
   bench_buffers_free(&buffers);
-  for (int i = 0; i < mode_count; i++) b->costs[i] = cost_of(b, &modes[i]);
   return failed;
 }
 
@@ -196,17 +156,22 @@ static int measure_open(cli *c, const char *path, uint32_t flags, double *second
 
 /* Queries a second at a bound, 0 = unknown. */
 static double conversion_bound(const bench *b, int mode) {
-  const double rate = b->value_bytes == 2 ? b->bounds.half_values : b->bounds.float_values;
-  return b->costs[mode].values > 0 ? rate / b->costs[mode].values : 0;
+  const btf_eval_cost *cost = &b->costs[mode];
+  const double rate = cost->bytes == 4 * cost->values ? b->bounds.float_values : b->bounds.half_values;
+  return cost->values > 0 ? rate / cost->values : 0;
 }
 static double flop_bound(const bench *b, int mode) {
   return b->costs[mode].flops > 0 ? b->bounds.flops / b->costs[mode].flops : 0;
 }
 /* Neighbours find their rows in the cache; random queries find each anywhere in the model. */
 static double memory_bound(const bench *b, int mode) {
-  const query_cost *cost = &b->costs[mode];
+  const btf_eval_cost *cost = &b->costs[mode];
   if (modes[mode].order == BENCH_RANDOM) return cost->rows > 0 ? b->bounds.random_rows / cost->rows : 0;
   return cost->bytes > 0 ? b->bounds.cache_bytes / cost->bytes : 0;
+}
+
+static double tightest_bound(const bench *b, int mode) {
+  return fmin(conversion_bound(b, mode), fmin(flop_bound(b, mode), memory_bound(b, mode)));
 }
 
 static void print_report(const cli *c, const bench *b) {
@@ -223,21 +188,24 @@ static void print_report(const cli *c, const bench *b) {
   printf("  memory read             %8.1f GB/s\n", k->memory_bytes * 1e-9);
   if (k->random_rows > 0)
     printf("  random rows in %.1f MiB %9.1f Mrows/s of %.0f bytes\n",
-           (double)b->model.resident_bytes / 1048576, k->random_rows * 1e-6,
-           mean_row_bytes(b) * b->model.channels);
+           (double)b->model.resident_bytes / 1048576, k->random_rows * 1e-6, row_bytes(b));
   if (b->encode_seconds > 0)
     printf("encode                    %8.2f s, %.1f MB/s of raw samples, %" PRIu32 " threads\n",
            b->encode_seconds, b->raw_bytes * 1e-6 / b->encode_seconds, c->threads);
   printf("open and first query      %8.3f ms, %.3f ms without checksums of mapped chunks\n",
          1e3 * b->open_seconds, 1e3 * b->trusted_open_seconds);
-  printf("evaluation, one core        million queries/s   bounds: conversion   multiply-add   memory\n");
+  if (b->costs[0].bytes > 0)
+    printf("a query                   %8.0f bytes in %.0f places, %.0f values, %.0f operations\n",
+           b->costs[0].bytes, b->costs[0].rows, b->costs[0].values, b->costs[0].flops);
+  printf("evaluation, one core        million queries/s   bounds: conversion   multiply-add   memory   "
+         "reached\n");
   for (int i = 0; i < mode_count; i++) {
     printf("  %-27s %14.3f", modes[i].name, b->rates[i] * 1e-6);
     if (modes[i].all_threads)
       printf("      (%" PRIu32 " threads)", c->threads);
     else if (b->costs[i].values > 0)
-      printf("   %26.2f %14.2f %11.2f", 1e-6 * conversion_bound(b, i), 1e-6 * flop_bound(b, i),
-             1e-6 * memory_bound(b, i));
+      printf("   %26.2f %14.2f %8.2f %7.0f %%", 1e-6 * conversion_bound(b, i), 1e-6 * flop_bound(b, i),
+             1e-6 * memory_bound(b, i), 100 * b->rates[i] / tightest_bound(b, i));
     putchar('\n');
   }
 }
@@ -259,7 +227,7 @@ static void write_report(const cli *c, const bench *b) {
   json_number(&j, "cache_bytes", b->bounds.cache_bytes);
   json_number(&j, "memory_bytes", b->bounds.memory_bytes);
   json_number(&j, "random_rows", b->bounds.random_rows > 0 ? b->bounds.random_rows : NAN);
-  json_number(&j, "row_bytes", b->bounds.random_rows > 0 ? mean_row_bytes(b) * b->model.channels : NAN);
+  json_number(&j, "row_bytes", b->bounds.random_rows > 0 ? row_bytes(b) : NAN);
   json_close(&j, '}');
   json_number(&j, "encode_seconds", b->encode_seconds > 0 ? b->encode_seconds : NAN);
   json_number(&j, "encode_raw_bytes_per_second",
@@ -273,6 +241,10 @@ static void write_report(const cli *c, const bench *b) {
     json_string(&j, "mode", modes[i].name);
     json_integer(&j, "threads", modes[i].all_threads ? c->threads : 1);
     json_number(&j, "queries_per_second", b->rates[i]);
+    json_number(&j, "bytes", known ? b->costs[i].bytes : NAN);
+    json_number(&j, "places", known ? b->costs[i].rows : NAN);
+    json_number(&j, "values", known ? b->costs[i].values : NAN);
+    json_number(&j, "operations", known ? b->costs[i].flops : NAN);
     json_number(&j, "conversion_bound", known ? conversion_bound(b, i) : NAN);
     json_number(&j, "multiply_add_bound", known ? flop_bound(b, i) : NAN);
     json_number(&j, "memory_bound", known ? memory_bound(b, i) : NAN);
@@ -291,8 +263,6 @@ static int bench_file(cli *c, bench *b, const char *path, double seconds) {
   if (failed) return failed;
   btf_model_describe(in.model, &b->model);
   b->codec = btf_file_model_codec(in.file, 0);
-  b->value_bytes =
-      stored_value_bytes(btf_codec_find(c->context, b->codec), btf_file_metadata(in.file, "btf.command"));
   failed = measure_open(c, path, 0, &b->open_seconds);
   if (!failed) failed = measure_open(c, path, BTF_OPEN_TRUST, &b->trusted_open_seconds);
   if (!failed) failed = measure_evaluation(c, b, in.model, seconds);
@@ -392,8 +362,8 @@ const cli_command cmd_bench = {"bench",
                                "Evaluation is timed for neighbouring pixels, for random queries and for one "
                                "pair of directions; the bounds are what\n"
                                "the values, operations and bytes of a query would take at the rates measured "
-                               "beside it. Bounds are printed for\n"
-                               "linear codecs, from the memory that the model may touch.",
+                               "beside it. A query's\n"
+                               "bytes, values and operations are those that the codec states for its method.",
                                options_table,
                                1,
                                1,

@@ -83,7 +83,7 @@ static btf_status take_triplets(fitting *f, const btf_svd_result *svd) {
   uint32_t kept = svd->rank;
   while (kept > 0 && svd->sigma[kept - 1] <= NEGLIGIBLE * data_norm) kept--;
   const uint32_t components = kept + has_mean > 0 ? kept + has_mean : 1;
-  FMF_TRY(btfi_fmf_writing_alloc(&f->out, components));
+  BTF_TRY(btfi_fmf_writing_alloc(&f->out, components));
   f->out.head.energy = data_norm * data_norm;
   if (kept + has_mean == 0) { /* all samples are 0 */
     memset(f->out.values[0], 0, f->matrix.rows * sizeof(float));
@@ -102,7 +102,7 @@ static btf_status take_triplets(fitting *f, const btf_svd_result *svd) {
     const uint64_t length = f->out.factors.length[side];
     transposition t = {vectors[side], f->out.values[side] + has_mean * length, length, kept,
                        svd->rank,     side == FMF_SIDE_V ? svd->sigma : NULL};
-    FMF_TRY(f->host->parallel(f->ctx, (uint32_t)((length + STRIPE - 1) / STRIPE), transpose_stripe, &t));
+    BTF_TRY(f->host->parallel(f->ctx, (uint32_t)((length + STRIPE - 1) / STRIPE), transpose_stripe, &t));
   }
   double residual = svd->residual;
   for (uint32_t k = svd->rank; k > kept; k--) residual += svd->sigma[k - 1] * svd->sigma[k - 1];
@@ -137,7 +137,7 @@ static btf_status factorise(fitting *f, double from, double to) {
     desc.target_residual =
         fmax(0.98 * (f->out.target - floor) / btfi_fmf_packing_growth(&f->out), 1e-14 * f->statistics.energy);
   }
-  FMF_TRY(f->host->svd(f->ctx, &desc, f->job, from, to, &svd));
+  BTF_TRY(f->host->svd(f->ctx, &desc, f->job, from, to, &svd));
   const btf_status status = take_triplets(f, &svd);
   f->host->svd_free(f->ctx, &svd);
   return status;
@@ -146,7 +146,7 @@ static btf_status factorise(fitting *f, double from, double to) {
 static btf_status fit_all(fitting *f, const btf_dataset *ds, const btf_options *options) {
   const btf_host *host = f->host;
   double done = 0.0;
-  FMF_TRY(btfi_fmf_matrix_open(host, f->ctx, ds, f->job->max_working_set, &f->matrix));
+  BTF_TRY(btfi_fmf_matrix_open(host, f->ctx, ds, f->job->max_working_set, &f->matrix));
   f->out.views = f->matrix.views;
   f->out.lights = f->matrix.lights;
   f->out.channels = f->matrix.channels;
@@ -159,7 +159,7 @@ static btf_status fit_all(fitting *f, const btf_dataset *ds, const btf_options *
       if (f->mean == NULL) return BTF_E_NOMEM;
     }
     done = 0.15;
-    FMF_TRY(btfi_fmf_measure(&f->matrix, f->job, 0.0, done, f->mean, &f->statistics));
+    BTF_TRY(btfi_fmf_measure(&f->matrix, f->job, 0.0, done, f->mean, &f->statistics));
     for (uint64_t i = 0; i < (f->want_mean ? f->matrix.rows : 0); i++)
       f->mean_norm += (double)f->mean[i] * f->mean[i];
     f->mean_norm = sqrt(f->mean_norm);
@@ -169,11 +169,11 @@ static btf_status fit_all(fitting *f, const btf_dataset *ds, const btf_options *
     }
     if (f->has_target) set_target(f, options);
   }
-  FMF_TRY(factorise(f, done, 0.9));
-  FMF_TRY(host->progress(f->job, 0.9, "storing"));
-  FMF_TRY(btfi_fmf_choose_components(&f->out));
-  FMF_TRY(host->progress(f->job, 0.94, "storing"));
-  FMF_TRY(btfi_fmf_write(&f->out));
+  BTF_TRY(factorise(f, done, 0.9));
+  BTF_TRY(host->progress(f->job, 0.9, "storing"));
+  BTF_TRY(btfi_fmf_choose_components(&f->out));
+  BTF_TRY(host->progress(f->job, 0.94, "storing"));
+  BTF_TRY(btfi_fmf_write(&f->out));
   host->log(f->ctx, BTF_LOG_INFO, "fmf: %u components, predicted rmse %.6g, relative error %.6g",
             f->out.head.components,
             sqrt(f->out.head.squared_error / ((double)f->matrix.rows * (double)f->matrix.texels)),

@@ -11,7 +11,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include <btf/btf_plugin.h>
+#include <btf/btf_codec.h>
 
 enum { FMF_F32 = 0, FMF_F16 = 1, FMF_BF16 = 2, FMF_Q8 = 3, FMF_STORAGES };
 enum { FMF_PACKED = 0, FMF_PLAIN = 1, FMF_CODINGS };
@@ -25,13 +25,6 @@ enum { FMF_MAX_COMPONENTS = 1024, FMF_MAX_COLUMNS = 1088, FMF_MAX_LEVELS = 32, F
 #define FMF_TAG_V BTF_TAG('V', 'R', 'O', 'W')
 #define FMF_TAG_PACKED_U BTF_TAG('U', 'P', 'A', 'K') /* packed */
 #define FMF_TAG_PACKED_V BTF_TAG('V', 'P', 'A', 'K')
-
-/* Returns a status other than BTF_OK to the caller. */
-#define FMF_TRY(expression)                                                                                  \
-  do {                                                                                                       \
-    const btf_status fmf_status_ = (expression);                                                             \
-    if (fmf_status_ != BTF_OK) return fmf_status_;                                                           \
-  } while (0)
 
 /* ---- layout of the evaluation tables (layout.c) ---- */
 

@@ -12,61 +12,26 @@
 
 /* ---- the little-endian structures ---- */
 
-static void put_u32(unsigned char *dst, uint32_t value) {
-  for (int i = 0; i < 4; i++) dst[i] = (unsigned char)(value >> 8 * i);
-}
-
-static void put_f64(unsigned char *dst, double value) {
-  uint64_t bits;
-  memcpy(&bits, &value, sizeof bits);
-  put_u32(dst, (uint32_t)bits);
-  put_u32(dst + 4, (uint32_t)(bits >> 32));
-}
-
-static void put_f32(unsigned char *dst, float value) {
-  uint32_t bits;
-  memcpy(&bits, &value, sizeof bits);
-  put_u32(dst, bits);
-}
-
-static uint32_t get_u32(const unsigned char *src) {
-  return src[0] | (uint32_t)src[1] << 8 | (uint32_t)src[2] << 16 | (uint32_t)src[3] << 24;
-}
-
-static double get_f64(const unsigned char *src) {
-  const uint64_t bits = get_u32(src) | (uint64_t)get_u32(src + 4) << 32;
-  double value;
-  memcpy(&value, &bits, sizeof value);
-  return value;
-}
-
-static float get_f32(const unsigned char *src) {
-  const uint32_t bits = get_u32(src);
-  float value;
-  memcpy(&value, &bits, sizeof value);
-  return value;
-}
-
 void btfi_fmf_put_head(const btfi_fmf_head *head, unsigned char bytes[FMF_HEAD_BYTES]) {
   const uint32_t words[] = {head->coding,  head->storage, head->components,
                             head->columns, head->levels,  head->flags};
   const double numbers[] = {head->step[0], head->step[1], head->squared_error, head->energy, head->tolerated};
-  for (size_t i = 0; i < 6; i++) put_u32(bytes + 4 * i, words[i]);
-  for (size_t i = 0; i < 5; i++) put_f64(bytes + 24 + 8 * i, numbers[i]);
+  for (size_t i = 0; i < 6; i++) btf_put_u32(bytes + 4 * i, words[i]);
+  for (size_t i = 0; i < 5; i++) btf_put_f64(bytes + 24 + 8 * i, numbers[i]);
 }
 
 void btfi_fmf_put_columns(const btfi_fmf_plan *plan, unsigned char *bytes) {
   for (uint32_t i = 0; i < plan->columns; i++, bytes += FMF_COLUMN_BYTES) {
     const btfi_fmf_column *column = &plan->column[i];
-    put_u32(bytes, column->component);
-    put_u32(bytes + 4, column->rest[0] | (uint32_t)column->rest[1] << 8);
-    put_f32(bytes + 8, column->scale[0]);
-    put_f32(bytes + 12, column->scale[1]);
+    btf_put_u32(bytes, column->component);
+    btf_put_u32(bytes + 4, column->rest[0] | (uint32_t)column->rest[1] << 8);
+    btf_put_f32(bytes + 8, column->scale[0]);
+    btf_put_f32(bytes + 12, column->scale[1]);
   }
 }
 
 void btfi_fmf_put_sigma(const double *sigma, uint32_t components, unsigned char *bytes) {
-  for (uint32_t k = 0; k < components; k++) put_f64(bytes + 8 * (size_t)k, sigma[k]);
+  for (uint32_t k = 0; k < components; k++) btf_put_f64(bytes + 8 * (size_t)k, sigma[k]);
 }
 
 /* ---- loading ---- */
@@ -84,31 +49,24 @@ typedef struct loading {
   float scale[FMF_MAX_COLUMNS];
 } loading;
 
-/* A chunk of exactly the size it must have. */
 static btf_status get_chunk(const loading *l, uint32_t tag, uint32_t index, uint64_t size,
                             const void **data) {
-  uint64_t found;
-  FMF_TRY(l->host->get(l->payload, tag, index, data, &found));
-  if (found != size)
-    return l->host->fail(l->ctx, BTF_E_CORRUPT, "fmf: chunk %c%c%c%c %u has %llu bytes instead of %llu",
-                         (int)(tag & 0x7f), (int)(tag >> 8 & 0x7f), (int)(tag >> 16 & 0x7f),
-                         (int)(tag >> 24 & 0x7f), index, (unsigned long long)found, (unsigned long long)size);
-  return BTF_OK;
+  return btf_get_chunk(l->host, l->ctx, l->payload, "fmf", tag, index, size, data);
 }
 
 static btf_status get_head(loading *l) {
   const btf_host *host = l->host;
   btfi_fmf_head *head = &l->head;
   const void *data;
-  FMF_TRY(get_chunk(l, FMF_TAG_HEAD, 0, FMF_HEAD_BYTES, &data));
+  BTF_TRY(get_chunk(l, FMF_TAG_HEAD, 0, FMF_HEAD_BYTES, &data));
   const unsigned char *bytes = data;
   uint32_t *const words[] = {&head->coding,  &head->storage, &head->components,
                              &head->columns, &head->levels,  &head->flags};
   double *const numbers[] = {&head->step[0], &head->step[1], &head->squared_error, &head->energy,
                              &head->tolerated};
-  for (size_t i = 0; i < 6; i++) *words[i] = get_u32(bytes + 4 * i);
+  for (size_t i = 0; i < 6; i++) *words[i] = btf_get_u32(bytes + 4 * i);
   for (size_t i = 0; i < 5; i++) {
-    *numbers[i] = get_f64(bytes + 24 + 8 * i);
+    *numbers[i] = btf_get_f64(bytes + 24 + 8 * i);
     if (!isfinite(*numbers[i]) || *numbers[i] < 0.0)
       return host->fail(l->ctx, BTF_E_CORRUPT, "fmf: number %u of the header is not finite or negative",
                         (unsigned)i);
@@ -133,9 +91,9 @@ static btf_status get_head(loading *l) {
 
 static btf_status get_sigma(loading *l) {
   const void *data;
-  FMF_TRY(get_chunk(l, FMF_TAG_SIGMA, 0, 8 * (uint64_t)l->head.components, &data));
+  BTF_TRY(get_chunk(l, FMF_TAG_SIGMA, 0, 8 * (uint64_t)l->head.components, &data));
   for (uint32_t k = 0; k < l->head.components; k++) {
-    l->sigma[k] = get_f64((const unsigned char *)data + 8 * (size_t)k);
+    l->sigma[k] = btf_get_f64((const unsigned char *)data + 8 * (size_t)k);
     if (!isfinite(l->sigma[k]) || l->sigma[k] <= 0.0 || !isfinite(l->head.step[0] / l->sigma[k]))
       return l->host->fail(l->ctx, BTF_E_CORRUPT,
                            "fmf: singular value %u is not a positive number or too small", k);
@@ -162,21 +120,21 @@ static btf_status check_scale(loading *l, uint32_t i, const btfi_fmf_column *col
 static btf_status load_plain(loading *l) {
   btfi_fmf_state *state = l->state;
   const void *data;
-  FMF_TRY(get_chunk(l, FMF_TAG_COLUMNS, 0, (uint64_t)FMF_COLUMN_BYTES * l->head.columns, &data));
+  BTF_TRY(get_chunk(l, FMF_TAG_COLUMNS, 0, (uint64_t)FMF_COLUMN_BYTES * l->head.columns, &data));
   for (uint32_t i = 0; i < l->head.columns; i++) {
     const unsigned char *bytes = (const unsigned char *)data + (size_t)FMF_COLUMN_BYTES * i;
-    const uint32_t rest = get_u32(bytes + 4);
+    const uint32_t rest = btf_get_u32(bytes + 4);
     const btfi_fmf_column column = {
-        get_u32(bytes), {rest & 1, rest >> 8 & 1}, {get_f32(bytes + 8), get_f32(bytes + 12)}};
+        btf_get_u32(bytes), {rest & 1, rest >> 8 & 1}, {btf_get_f32(bytes + 8), btf_get_f32(bytes + 12)}};
     if (column.component >= l->head.components || (rest & ~0x101u) != 0)
       return l->host->fail(l->ctx, BTF_E_CORRUPT, "fmf: column %u has an impossible description", i);
-    FMF_TRY(check_scale(l, i, &column));
+    BTF_TRY(check_scale(l, i, &column));
   }
-  FMF_TRY(make_layout(l, l->head.columns));
-  FMF_TRY(get_chunk(l, FMF_TAG_U, 0, state->layout.u_bytes, &data));
+  BTF_TRY(make_layout(l, l->head.columns));
+  BTF_TRY(get_chunk(l, FMF_TAG_U, 0, state->layout.u_bytes, &data));
   state->u = data;
   for (uint32_t level = 0; level < l->head.levels; level++) {
-    FMF_TRY(get_chunk(l, FMF_TAG_V, level, state->layout.v_bytes[level], &data));
+    BTF_TRY(get_chunk(l, FMF_TAG_V, level, state->layout.v_bytes[level], &data));
     state->v[level] = data;
   }
   return BTF_OK;
@@ -202,16 +160,16 @@ static unsigned char *alloc_table(const loading *l, uint64_t size) {
 static btf_status build_tables(loading *l, const btfi_fmf_factors *factors, btfi_fmf_plan *plan) {
   btfi_fmf_state *state = l->state;
   unsigned char *v[FMF_MAX_LEVELS] = {NULL}, *u;
-  FMF_TRY(btfi_fmf_plan_columns(l->host, l->ctx, factors, l->head.storage, l->head.tolerated, plan));
+  BTF_TRY(btfi_fmf_plan_columns(l->host, l->ctx, factors, l->head.storage, l->head.tolerated, plan));
   for (uint32_t i = 0; i < plan->columns; i++) {
     /* Far from overflow, so that no value of the tables and no sum of them while filtering is infinite. */
     const btfi_fmf_column *column = &plan->column[i];
     if (!(column->scale[0] <= FMF_LARGEST_VALUE && column->scale[1] <= FMF_LARGEST_VALUE))
       return l->host->fail(l->ctx, BTF_E_CORRUPT, "fmf: component %u has values beyond 1e30",
                            column->component);
-    FMF_TRY(check_scale(l, i, column));
+    BTF_TRY(check_scale(l, i, column));
   }
-  FMF_TRY(make_layout(l, plan->columns));
+  BTF_TRY(make_layout(l, plan->columns));
   state->owned[0] = u = alloc_table(l, state->layout.u_bytes);
   if (u == NULL) return BTF_E_NOMEM;
   state->u = u;
@@ -258,11 +216,11 @@ static btf_status load_packed(loading *l) {
 
 static btf_status load_state(loading *l) {
   btfi_fmf_state *state = l->state;
-  FMF_TRY(get_head(l));
+  BTF_TRY(get_head(l));
   l->sigma = l->host->alloc(l->ctx, l->head.components, sizeof *l->sigma);
   if (l->sigma == NULL) return BTF_E_NOMEM;
-  FMF_TRY(get_sigma(l));
-  FMF_TRY(l->head.coding == FMF_PLAIN ? load_plain(l) : load_packed(l));
+  BTF_TRY(get_sigma(l));
+  BTF_TRY(l->head.coding == FMF_PLAIN ? load_plain(l) : load_packed(l));
   state->components = l->head.components;
   state->coding = l->head.coding;
   state->resident = sizeof *state + state->layout.u_bytes;

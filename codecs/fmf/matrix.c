@@ -11,7 +11,7 @@ btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const bt
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   uint64_t samples;
   memset(out, 0, sizeof *out);
-  FMF_TRY(host->dataset_describe(ds, &desc));
+  BTF_TRY(host->dataset_describe(ds, &desc));
   out->host = host;
   out->ctx = ctx;
   out->ds = ds;
@@ -60,7 +60,7 @@ static btf_status read_pairs(const btfi_fmf_matrix *m, uint64_t pair0, uint64_t 
       block.lights = (uint32_t)pairs;
     }
     const uint64_t done = (uint64_t)block.views * block.lights;
-    FMF_TRY(m->host->dataset_read(m->ds, &block, dst, &strides));
+    BTF_TRY(m->host->dataset_read(m->ds, &block, dst, &strides));
     dst += done * m->channels * ld;
     pair0 += done;
     pairs -= done;
@@ -75,7 +75,7 @@ static btf_status read_channels(btfi_fmf_matrix *m, uint64_t pair, uint32_t chan
     m->partial = m->host->alloc(m->ctx, m->texels, m->channels * sizeof *m->partial);
     if (m->partial == NULL) return BTF_E_NOMEM;
   }
-  FMF_TRY(read_pairs(m, pair, 1, m->partial, m->texels));
+  BTF_TRY(read_pairs(m, pair, 1, m->partial, m->texels));
   for (uint32_t c = 0; c < channels; c++)
     memcpy(dst + c * ld, m->partial + (channel + c) * m->texels, m->texels * sizeof *dst);
   return BTF_OK;
@@ -88,10 +88,10 @@ static btf_status read_images(btfi_fmf_matrix *m, uint64_t item0, uint64_t items
     uint64_t done;
     if (channel == 0 && items >= m->channels) {
       done = items / m->channels * m->channels;
-      FMF_TRY(read_pairs(m, pair, done / m->channels, dst, ld));
+      BTF_TRY(read_pairs(m, pair, done / m->channels, dst, ld));
     } else {
       done = m->channels - channel < items ? m->channels - channel : items;
-      FMF_TRY(read_channels(m, pair, channel, (uint32_t)done, dst, ld));
+      BTF_TRY(read_channels(m, pair, channel, (uint32_t)done, dst, ld));
     }
     dst += done * ld;
     item0 += done;
@@ -117,7 +117,7 @@ static btf_status read_texels(const btfi_fmf_matrix *m, uint64_t item0, uint64_t
       block.width = (uint32_t)items;
     }
     const uint64_t done = (uint64_t)block.width * block.height;
-    FMF_TRY(m->host->dataset_read(m->ds, &block, dst, &strides));
+    BTF_TRY(m->host->dataset_read(m->ds, &block, dst, &strides));
     dst += columns ? done : done * ld;
     item0 += done;
     items -= done;
@@ -127,7 +127,7 @@ static btf_status read_texels(const btfi_fmf_matrix *m, uint64_t item0, uint64_t
 
 btf_status btfi_fmf_matrix_read(void *matrix, uint64_t item0, uint64_t items, float *dst, size_t ld) {
   btfi_fmf_matrix *m = matrix;
-  FMF_TRY(m->by_image ? read_images(m, item0, items, dst, ld) : read_texels(m, item0, items, dst, ld));
+  BTF_TRY(m->by_image ? read_images(m, item0, items, dst, ld) : read_texels(m, item0, items, dst, ld));
   if (m->mean == NULL) return BTF_OK;
   const bool row_by_row = m->by_image || m->layout == BTF_LAYOUT_ITEM_COLUMNS;
   const uint64_t lines = m->by_image || !row_by_row ? items : m->length;

@@ -77,8 +77,8 @@ static btf_status read_all(btfi_fmf_matrix *m, const btf_job *job, double from, 
   uint64_t counted = 0;
   for (uint64_t item = 0; item < m->items; item += block_items) {
     pass->items = m->items - item < block_items ? m->items - item : block_items;
-    FMF_TRY(m->host->progress(job, from + (to - from) * (double)item / (double)m->items, "statistics"));
-    FMF_TRY(btfi_fmf_matrix_read(m, item, pass->items, block,
+    BTF_TRY(m->host->progress(job, from + (to - from) * (double)item / (double)m->items, "statistics"));
+    BTF_TRY(btfi_fmf_matrix_read(m, item, pass->items, block,
                                  m->layout == BTF_LAYOUT_ITEM_COLUMNS ? pass->items : m->length));
     pass->sums = m->by_image ? row_sums + item : row_sums;
     if (counted > UINT32_MAX - pass->items * m->length) {
@@ -86,7 +86,7 @@ static btf_status read_all(btfi_fmf_matrix *m, const btf_job *job, double from, 
       counted = 0;
     }
     counted += pass->items * m->length;
-    FMF_TRY(m->host->parallel(m->ctx, PARTS, take_part, pass));
+    BTF_TRY(m->host->parallel(m->ctx, PARTS, take_part, pass));
   }
   add_up_counts(pass, threads);
   pass->sums = row_sums;

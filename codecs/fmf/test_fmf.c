@@ -494,6 +494,35 @@ static void test_failing_allocations(void **unused) {
   test_context_done(ctx, &memory);
 }
 
+/* A fit that a limit of the context stops says so: BTF_E_LIMIT, not BTF_E_NOMEM, whichever allocation meets
+ * it. */
+static void test_memory_limit(void **unused) {
+  (void)unused;
+  btf_allocator allocator = test_allocator(&memory);
+  uint32_t refused = 0;
+  for (uint64_t limit = 1u << 17;; limit += limit / 4) {
+    btf_limits limits = BTF_LIMITS_INIT;
+    btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
+    btf_context *ctx;
+    btf_model *model;
+    memory = (test_memory){0};
+    limits.max_memory = limit;
+    desc.limits = &limits;
+    desc.allocator = &allocator;
+    desc.max_threads = 1;
+    assert_ok(btf_context_create(&desc, &ctx));
+    material m = material_create(ctx, MATERIAL_GLOSSY, "grid:4x2", 6, 4, 3, true, BTF_WRAP_PERIODIC);
+    const btf_status status = fmf_try_fit(ctx, m.ds, "components=6", NULL, &model);
+    btf_model_release(model);
+    material_release(&m);
+    test_context_done(ctx, &memory);
+    if (status == BTF_OK) break;
+    assert_int_equal(status, BTF_E_LIMIT);
+    refused++;
+  }
+  assert_true(refused > 0);
+}
+
 int main(void) {
   const struct CMUnitTest tests[] = {cmocka_unit_test(test_error_is_the_tail),
                                      cmocka_unit_test(test_low_rank_is_exact),
@@ -509,6 +538,7 @@ int main(void) {
                                      cmocka_unit_test(test_determinism),
                                      cmocka_unit_test(test_budget),
                                      cmocka_unit_test(test_cancel),
-                                     cmocka_unit_test(test_failing_allocations)};
+                                     cmocka_unit_test(test_failing_allocations),
+                                     cmocka_unit_test(test_memory_limit)};
   return btf_run("fmf", tests);
 }

@@ -65,7 +65,7 @@ static btf_status predict_error(btfi_fmf_writing *f, uint32_t components, double
   btfi_fmf_factors factors = f->factors;
   factors.components = components;
   f->head.tolerated = tolerated_by_q8(f, components);
-  FMF_TRY(btfi_fmf_plan_columns(f->host, f->ctx, &factors, f->head.storage, f->head.tolerated, &f->plan));
+  BTF_TRY(btfi_fmf_plan_columns(f->host, f->ctx, &factors, f->head.storage, f->head.tolerated, &f->plan));
   *out = (f->residual[components] + f->plan.squared_error) * btfi_fmf_packing_growth(f);
   return BTF_OK;
 }
@@ -79,15 +79,15 @@ btf_status btfi_fmf_choose_components(btfi_fmf_writing *f) {
       components--;
   }
   double error;
-  FMF_TRY(predict_error(f, components, &error));
+  BTF_TRY(predict_error(f, components, &error));
   while (has_target(f) && error > f->target && components < available)
-    FMF_TRY(predict_error(f, ++components, &error));
+    BTF_TRY(predict_error(f, ++components, &error));
   /* The estimate of the storage error may have been too careful. */
   while (has_target(f) && error <= f->target && components > 1) {
     double without_last;
-    FMF_TRY(predict_error(f, components - 1, &without_last));
+    BTF_TRY(predict_error(f, components - 1, &without_last));
     if (without_last > f->target) {
-      FMF_TRY(predict_error(f, components, &error));
+      BTF_TRY(predict_error(f, components, &error));
       break;
     }
     error = without_last;
@@ -130,7 +130,7 @@ static void measure_step(void *job, uint32_t index, uint32_t thread) {
 static btf_status error_of_step(const btfi_fmf_writing *f, double step, double *error, double *out) {
   step_trial trial = {f, step, error};
   *out = 0.0;
-  FMF_TRY(f->host->parallel(f->ctx, 2 * f->factors.components, measure_step, &trial));
+  BTF_TRY(f->host->parallel(f->ctx, 2 * f->factors.components, measure_step, &trial));
   for (uint32_t k = 0; k < f->factors.components; k++) {
     const double u = error[2 * k], v = error[2 * k + 1];
     *out += u + v + u * v / (f->sigma[k] * f->sigma[k]);
@@ -180,8 +180,8 @@ static btf_status choose_step(btfi_fmf_writing *f) {
 static btf_status write_packed(btfi_fmf_writing *f) {
   const btfi_fmf_grid directions = {f->channels, f->lights, f->views};
   const btfi_fmf_grid texels = {1, f->width, f->height};
-  FMF_TRY(choose_step(f));
-  FMF_TRY(btfi_fmf_pack(f->host, f->ctx, &f->factors, FMF_SIDE_U, &directions, f->sigma, f->head.step[0],
+  BTF_TRY(choose_step(f));
+  BTF_TRY(btfi_fmf_pack(f->host, f->ctx, &f->factors, FMF_SIDE_U, &directions, f->sigma, f->head.step[0],
                         f->payload, FMF_TAG_PACKED_U));
   return btfi_fmf_pack(f->host, f->ctx, &f->factors, FMF_SIDE_V, &texels, NULL, f->head.step[1], f->payload,
                        FMF_TAG_PACKED_V);
@@ -196,12 +196,12 @@ static btf_status write_plain(btfi_fmf_writing *f) {
   if (!btfi_fmf_layout_of(&shape, f->lights, f->views, f->head.storage, f->plan.columns, f->head.levels,
                           &layout))
     return f->host->fail(f->ctx, BTF_E_LIMIT, "fmf: the tables would not fit 64 bits");
-  FMF_TRY(f->host->reserve(f->payload, FMF_TAG_COLUMNS, 0, 0, (uint64_t)FMF_COLUMN_BYTES * f->plan.columns,
+  BTF_TRY(f->host->reserve(f->payload, FMF_TAG_COLUMNS, 0, 0, (uint64_t)FMF_COLUMN_BYTES * f->plan.columns,
                            &columns));
   btfi_fmf_put_columns(&f->plan, columns);
-  FMF_TRY(f->host->reserve(f->payload, FMF_TAG_U, 0, BTF_PAYLOAD_IN_PLACE, layout.u_bytes, &u));
+  BTF_TRY(f->host->reserve(f->payload, FMF_TAG_U, 0, BTF_PAYLOAD_IN_PLACE, layout.u_bytes, &u));
   for (uint32_t level = 0; level < layout.levels; level++) {
-    FMF_TRY(
+    BTF_TRY(
         f->host->reserve(f->payload, FMF_TAG_V, level, BTF_PAYLOAD_IN_PLACE, layout.v_bytes[level], &chunk));
     v[level] = chunk;
   }
@@ -211,10 +211,10 @@ static btf_status write_plain(btfi_fmf_writing *f) {
 btf_status btfi_fmf_write(btfi_fmf_writing *f) {
   unsigned char head[FMF_HEAD_BYTES];
   void *sigma;
-  FMF_TRY(f->host->reserve(f->payload, FMF_TAG_SIGMA, 0, 0, 8 * (uint64_t)f->factors.components, &sigma));
+  BTF_TRY(f->host->reserve(f->payload, FMF_TAG_SIGMA, 0, 0, 8 * (uint64_t)f->factors.components, &sigma));
   btfi_fmf_put_sigma(f->sigma, f->factors.components, sigma);
   f->head.components = f->factors.components;
-  FMF_TRY(f->head.coding == FMF_PACKED ? write_packed(f) : write_plain(f));
+  BTF_TRY(f->head.coding == FMF_PACKED ? write_packed(f) : write_plain(f));
   btfi_fmf_put_head(&f->head, head);
   return f->host->put(f->payload, FMF_TAG_HEAD, 0, 0, head, sizeof head);
 }

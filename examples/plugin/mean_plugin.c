@@ -9,65 +9,56 @@
  *
  * A plug-in links against nothing: all it needs of the library comes through the host table.
  */
-#include <btf/btf_plugin.h>
+#include <btf/btf_codec.h>
 #include <btf/btf_sampling.h>
 
+#define ID "org.example.mean"
 #define TEXTURE BTF_TAG('T', 'E', 'X', ' ') /* height x width x channels floats */
 #define ANGULAR BTF_TAG('A', 'N', 'G', ' ') /* views x lights x channels floats, 1 on average */
 
-static const btf_param_desc contrast = {
-    .struct_size = sizeof contrast,
-    .name = "contrast",
-    .type = BTF_PARAM_FLOAT,
-    .default_text = "1",
-    .maximum = 1.0,
-    .summary = "How much of the texture is kept: 1 all of it, 0 its mean colour."};
+BTF_PARAM(contrast, BTF_PARAM_FLOAT, "how much of the texture is kept: 1 all of it, 0 its mean colour", NULL,
+          "1", NULL, 0.0, 1.0);
 static const btf_param_desc *const params[] = {&contrast, NULL};
 
 /* The data set is read image by image, so that any size of it fits in memory. */
 static btf_status mean_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
                            const btf_options *options, const btf_job *job, btf_chunk_writer *payload) {
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
-  btf_status status = host->dataset_describe(ds, &desc);
-  if (status != BTF_OK) return status;
-  const uint32_t views = host->dirset_count(desc.views), lights = host->dirset_count(desc.lights);
-  const uint32_t channels = desc.channels;
-  const uint64_t texels = (uint64_t)desc.width * desc.height, pairs = (uint64_t)views * lights;
-  const btf_strides strides = {0, 0, 4 * (ptrdiff_t)channels * desc.width, 4 * (ptrdiff_t)channels, 4};
-  const float keep = (float)host->option(options, "contrast");
+  BTF_TRY(host->dataset_describe(ds, &desc));
+  const uint32_t lights = host->dirset_count(desc.lights), n = desc.channels;
+  const uint64_t pairs = (uint64_t)host->dirset_count(desc.views) * lights;
+  const uint64_t values = (uint64_t)desc.width * desc.height * n;
+  const btf_strides strides = {0, 0, 4 * (ptrdiff_t)n * desc.width, 4 * (ptrdiff_t)n, 4};
+  const double keep = host->option(options, "contrast");
   void *texture_chunk, *angular_chunk;
   double mean[64] = {0.0};
-
   /* Memory of the payload, zeroed; in place means: used straight from the file when it is mapped. */
-  status = host->reserve(payload, TEXTURE, 0, BTF_PAYLOAD_IN_PLACE, texels * channels * 4, &texture_chunk);
-  if (status == BTF_OK) status = host->reserve(payload, ANGULAR, 0, 0, pairs * channels * 4, &angular_chunk);
-  if (status != BTF_OK) return status;
+  BTF_TRY(host->reserve(payload, TEXTURE, 0, BTF_PAYLOAD_IN_PLACE, values * sizeof(float), &texture_chunk));
+  BTF_TRY(host->reserve(payload, ANGULAR, 0, 0, pairs * n * sizeof(float), &angular_chunk));
   float *texture = texture_chunk, *angular = angular_chunk;
-  float *image = host->alloc(ctx, texels, channels * sizeof *image);
-  double *sum = host->alloc(ctx, texels, channels * sizeof *sum);
-  if (image == NULL || sum == NULL) status = BTF_E_NOMEM; /* the host has set the message */
-  for (uint64_t i = 0; status == BTF_OK && i < texels * channels; i++) sum[i] = 0.0;
+  double *sum = host->alloc(ctx, values, sizeof *sum);
+  if (sum == NULL) return BTF_E_NOMEM; /* the host has set the message */
+  memset(sum, 0, values * sizeof *sum);
 
+  btf_status status = host->progress(job, 0.0, "averages");
   for (uint64_t pair = 0; pair < pairs && status == BTF_OK; pair++) {
-    const btf_block block = {
-        (uint32_t)(pair / lights), 1, (uint32_t)(pair % lights), 1, 0, 0, desc.width, desc.height};
-    double pair_sum[64] = {0.0};
-    status = host->dataset_read(ds, &block, image, &strides);
-    for (uint64_t i = 0; i < texels * channels && status == BTF_OK; i++) {
-      sum[i] += image[i];
-      pair_sum[i % channels] += image[i];
+    const uint32_t view = (uint32_t)(pair / lights), light = (uint32_t)(pair % lights);
+    const btf_block block = {view, 1, light, 1, 0, 0, desc.width, desc.height};
+    double colour[64] = {0.0};
+    status = host->dataset_read(ds, &block, texture, &strides); /* its room holds an image until the end */
+    for (uint64_t i = 0; i < values && status == BTF_OK; i++) {
+      sum[i] += texture[i] / (double)pairs;
+      colour[i % n] += texture[i] * (double)n / (double)values;
     }
-    for (uint32_t c = 0; c < channels; c++) {
-      angular[pair * channels + c] = (float)(pair_sum[c] / (double)texels);
-      mean[c] += pair_sum[c] / (double)texels / (double)pairs;
+    for (uint32_t c = 0; c < n; c++) {
+      angular[pair * n + c] = (float)colour[c];
+      mean[c] += colour[c] / (double)pairs;
     }
     if (status == BTF_OK) status = host->progress(job, (double)(pair + 1) / (double)pairs, "averages");
   }
-  for (uint64_t i = 0; i < texels * channels && status == BTF_OK; i++)
-    texture[i] = (float)(mean[i % channels] + keep * (sum[i] / (double)pairs - mean[i % channels]));
-  for (uint64_t i = 0; i < pairs * channels && status == BTF_OK; i++)
-    angular[i] = mean[i % channels] != 0.0 ? (float)(angular[i] / mean[i % channels]) : 0.0f;
-  host->free(ctx, image);
+  for (uint64_t i = 0; i < values; i++) texture[i] = (float)(mean[i % n] + keep * (sum[i] - mean[i % n]));
+  for (uint64_t i = 0; i < pairs * n; i++)
+    angular[i] = mean[i % n] != 0.0 ? (float)(angular[i] / mean[i % n]) : 0.0f;
   host->free(ctx, sum);
   return status;
 }
@@ -80,24 +71,20 @@ typedef struct mean_state {
   const float *texture, *angular;
 } mean_state;
 
-/* Sizes are checked against the shape: evaluation trusts them from then on. */
+/* Sizes are checked against the shape: evaluation trusts them from then on. There is one format so far. */
 static btf_status mean_load(const btf_host *host, btf_context *ctx, uint32_t format,
                             const btf_model_shape *shape, btf_chunk_reader *payload, void **state) {
-  const uint64_t texture_size = (uint64_t)shape->width * shape->height * shape->channels * 4;
-  const uint64_t angular_size =
-      (uint64_t)host->dirset_count(shape->views) * host->dirset_count(shape->lights) * shape->channels * 4;
+  const uint32_t lights = host->dirset_count(shape->lights);
+  const uint64_t texture_bytes = (uint64_t)shape->width * shape->height * shape->channels * sizeof(float);
+  const uint64_t angular_bytes =
+      (uint64_t)host->dirset_count(shape->views) * lights * shape->channels * sizeof(float);
   const void *texture, *angular;
-  uint64_t size[2];
-  btf_status status = host->get(payload, TEXTURE, 0, &texture, &size[0]);
-  (void)format; /* there is one version so far; the library refuses others */
-  if (status == BTF_OK) status = host->get(payload, ANGULAR, 0, &angular, &size[1]);
-  if (status != BTF_OK) return status;
-  if (size[0] != texture_size || size[1] != angular_size)
-    return host->fail(ctx, BTF_E_CORRUPT, "org.example.mean: the averages have another size than the model");
+  (void)format;
+  BTF_TRY(btf_get_chunk(host, ctx, payload, ID, TEXTURE, 0, texture_bytes, &texture));
+  BTF_TRY(btf_get_chunk(host, ctx, payload, ID, ANGULAR, 0, angular_bytes, &angular));
   mean_state *s = host->alloc(ctx, 1, sizeof *s);
   if (s == NULL) return BTF_E_NOMEM;
-  *s = (mean_state){host,    *shape, host->dirset_count(shape->lights), texture_size + angular_size,
-                    texture, angular};
+  *s = (mean_state){host, *shape, lights, texture_bytes + angular_bytes, texture, angular};
   *state = s;
   return BTF_OK;
 }
@@ -124,37 +111,29 @@ static void mean_texel(const void *state, uint32_t level, uint32_t x, uint32_t y
 
 /* Total: host functions take any direction, btf_sampling takes any position, and nothing here fails or
  * allocates. */
-static void mean_eval(const void *state, const btf_query *query, float *out) {
+static void mean_eval(const void *state, const btf_query *q, float *out) {
   const mean_state *s = state;
-  const uint32_t n = s->shape.channels;
-  btf_interp light, view;
-  btf_bilinear at;
-  if (query->flags & BTF_QUERY_NEAREST) {
-    mean_texel(s, 0, btf_sampling_nearest(query->uv[0], s->shape.width, s->shape.wrap),
-               btf_sampling_nearest(query->uv[1], s->shape.height, s->shape.wrap),
-               s->host->dirset_nearest(s->shape.lights, query->light),
-               s->host->dirset_nearest(s->shape.views, query->view), out);
-    return;
-  }
-  s->host->dirset_locate(s->shape.lights, query->light, &light);
-  s->host->dirset_locate(s->shape.views, query->view, &view);
-  btf_sampling_bilinear(query->uv[0], query->uv[1], s->shape.width, s->shape.height, s->shape.wrap, &at);
+  const uint32_t n = s->shape.channels, nearest = q->flags & BTF_QUERY_NEAREST;
+  btf_interp light = {{s->host->dirset_nearest(s->shape.lights, q->light), 0, 0}, {1.0f, 0.0f, 0.0f}};
+  btf_interp view = {{s->host->dirset_nearest(s->shape.views, q->view), 0, 0}, {1.0f, 0.0f, 0.0f}};
+  btf_texel_set at;
+  if (!nearest) s->host->dirset_locate(s->shape.lights, q->light, &light);
+  if (!nearest) s->host->dirset_locate(s->shape.views, q->view, &view);
+  btf_sampling_texels(q->uv, 0.0f, (int)nearest, s->shape.width, s->shape.height, s->shape.wrap, 1, &at);
   for (uint32_t c = 0; c < n; c++) {
-    float angular = 0.0f, texture = 0.0f;
-    for (int v = 0; v < 3; v++)
-      for (int l = 0; l < 3; l++)
-        angular += view.weight[v] * light.weight[l] *
-                   s->angular[((uint64_t)view.index[v] * s->lights + light.index[l]) * n + c];
-    for (int j = 0; j < 2; j++)
-      for (int i = 0; i < 2; i++)
-        texture += at.wy[j] * at.wx[i] * s->texture[((uint64_t)at.y[j] * s->shape.width + at.x[i]) * n + c];
+    float texture = 0.0f, angular = 0.0f;
+    for (uint32_t i = 0; i < at.count; i++)
+      texture += at.weight[i] * s->texture[((uint64_t)at.y[i] * s->shape.width + at.x[i]) * n + c];
+    for (int i = 0; i < 9; i++)
+      angular += view.weight[i / 3] * light.weight[i % 3] *
+                 s->angular[((uint64_t)view.index[i / 3] * s->lights + light.index[i % 3]) * n + c];
     out[c] = texture * angular;
   }
 }
 
 static const btf_codec_vtbl mean_codec = {.struct_size = sizeof(btf_codec_vtbl),
                                           .abi = LIBBTF_ABI,
-                                          .id = "org.example.mean",
+                                          .id = ID,
                                           .title = "Mean texture times mean reflectance",
                                           .version = "1.0",
                                           .caps = BTF_CAP_FIT | BTF_CAP_STREAM_FIT,

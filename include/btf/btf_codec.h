@@ -67,10 +67,10 @@ static inline btf_status btf_get_chunk(const btf_host *host, btf_context *ctx, b
                                        const void **data) {
   uint64_t found;
   BTF_TRY(host->get(payload, tag, index, data, &found));
-  if (found != size)
-    return host->fail(ctx, BTF_E_CORRUPT, "%s: chunk %c%c%c%c %u has %llu bytes instead of %llu", codec,
-                      (int)(tag & 0x7f), (int)(tag >> 8 & 0x7f), (int)(tag >> 16 & 0x7f),
-                      (int)(tag >> 24 & 0x7f), index, (unsigned long long)found, (unsigned long long)size);
+  if (found != size) /* In parentheses, since some test libraries have a macro of that name. */
+    return (host->fail)(ctx, BTF_E_CORRUPT, "%s: chunk %c%c%c%c %u has %llu bytes instead of %llu", codec,
+                        (int)(tag & 0x7f), (int)(tag >> 8 & 0x7f), (int)(tag >> 16 & 0x7f),
+                        (int)(tag >> 24 & 0x7f), index, (unsigned long long)found, (unsigned long long)size);
   return BTF_OK;
 }
 

@@ -152,6 +152,23 @@ LIBBTF_API void btf_model_texel(const btf_model *model, uint32_t level, uint32_t
  *  (Schwartz 2013, eq. 2, with the Euclidean norm); 0 if any derivative is NaN. Threads: const. */
 LIBBTF_API float btf_model_lod(const btf_model *model, const float duvdx[2], const float duvdy[2]);
 
+enum {
+  BTF_COST_SHARED_DIRECTIONS = 1u << 1 /**< of a query of a batch that has its directions from the one before it */
+};
+/** What one query costs the method, whatever the caches hold: at a whole level of detail, with interpolation. */
+typedef struct btf_eval_cost {
+  size_t struct_size;
+  double rows;   /**< separate places in memory that are read */
+  double bytes;  /**< bytes read */
+  double values; /**< stored values turned into floats */
+  double flops;  /**< additions and multiplications, a fused pair counting two */
+} btf_eval_cost;
+#define BTF_EVAL_COST_INIT                                                                                   \
+  { sizeof(btf_eval_cost), 0.0, 0.0, 0.0, 0.0 }
+/** Fills io for flags of BTF_QUERY_NEAREST and BTF_COST_SHARED_DIRECTIONS; the caller sets struct_size. All 0 if the
+ *  codec does not tell. Threads: const. */
+LIBBTF_API btf_status btf_model_cost(const btf_model *model, uint32_t flags, btf_eval_cost *io);
+
 /** Draws a light direction for query->view from the numbers xi in [0,1): writes the direction and
  *  weight[c] = f * light z / pdf per channel and returns the pdf per solid angle, 0 if there is none.
  *  Threads: const. */

@@ -194,6 +194,8 @@ typedef struct btf_codec_vtbl {
   void (*eval_n)(const void *state, const btf_batch *batch, float *const *out);
   /** One decoded sample; indices are in range. */
   void (*texel)(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view, float *out);
+  /** Optional: what a query costs, as btf_model_cost. `out` comes zeroed with struct_size set. */
+  void (*cost)(const void *state, uint32_t flags, btf_eval_cost *out);
 } btf_codec_vtbl;
 
 /** What a module exports. Names beginning with "libbtf " are for this project's own modules, whose codecs may have ids

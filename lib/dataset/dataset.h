@@ -14,9 +14,9 @@ const btf_dataset_desc *btfi_dataset_desc(const btf_dataset *ds);
 /* Views x lights entries that tell where a common light lies in its view's own list; NULL without such lists.
  */
 const btf_interp *btfi_dataset_light_weights(const btf_dataset *ds);
-/* Keeps at most about so many bytes of a mapping resident while blocks are read; 0 = no bound. Results do not
- * depend on it. Free. */
-void btfi_dataset_limit_pages(const btf_dataset *ds, uint64_t bytes);
+/* Keeps at most about so many bytes of a mapping resident while blocks are read, and takes a small part of
+ * them to read a source through; 0 = no bound. Results do not depend on it. Free. */
+void btfi_dataset_limit_memory(const btf_dataset *ds, uint64_t bytes);
 /* BTF_E_CORRUPT, naming the place, if a resident or mapped sample is not finite; reads all of them once.
  * Samples of a source are checked when they are read. */
 btf_status btfi_dataset_check_finite(const btf_dataset *ds, const btf_job *job);

@@ -17,6 +17,7 @@ struct btf_dataset {
       light_weights; /* views x lights: where a sample lies in its view's own list; NULL without such lists */
   btfi_mapping mapping;
   atomic_ullong pages_kept;    /* bytes of the mapping that may stay resident; 0 = any number */
+  atomic_ullong piece_bytes;   /* most bytes that are read from a source at once; 0 = 16 MiB */
   atomic_ullong bytes_touched; /* since pages were last let go */
   pthread_mutex_t one_reader;
   atomic_uint references;

@@ -6,7 +6,12 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { piece_bytes = 16 << 20, message_bytes = 512 };
+enum {
+  most_piece_bytes = 16 << 20,
+  least_piece_bytes = 1 << 16, /* below this, calling the source costs more than the memory is worth */
+  budget_over_piece = 32,
+  message_bytes = 512
+};
 
 static _Thread_local bool source_said_why;
 
@@ -58,7 +63,10 @@ static void block_axes(const btf_dataset *ds, const btf_block *b, const btf_stri
  * Pages of a mapping count as memory of the process once touched. Within a memory budget they are given back
  * while a pass goes on; they stay in the system's cache. */
 
-void btfi_dataset_limit_pages(const btf_dataset *ds, uint64_t bytes) {
+void btfi_dataset_limit_memory(const btf_dataset *ds, uint64_t bytes) {
+  const uint64_t piece =
+      BTFI_MIN(BTFI_MAX(bytes / budget_over_piece, (uint64_t)least_piece_bytes), (uint64_t)most_piece_bytes);
+  atomic_store((atomic_ullong *)(uintptr_t)&ds->piece_bytes, bytes != 0 ? piece : 0);
   atomic_store((atomic_ullong *)(uintptr_t)&ds->pages_kept, ds->mapping.size > bytes ? bytes : 0);
   if (bytes != 0) btfi_mapping_let_go(&ds->mapping);
 }
@@ -205,6 +213,7 @@ static btf_status read_streamed(const btf_dataset *ds, const btf_block *b, float
   const btf_dataset_desc *d = &ds->desc;
   const uint64_t cell = btfi_sample_size(d->sample_type) * d->channels;
   const bool one_view = d->view_lights != NULL;
+  const uint64_t limit = atomic_load(&ds->piece_bytes), piece_bytes = limit != 0 ? limit : most_piece_bytes;
   stream_job job = {.ds = ds, .dst_strides = strides, .dst = (char *)dst};
   job.order = d->flags & BTF_DATASET_IMAGE_MAJOR ? BTF_ORDER_VLYXC : BTF_ORDER_YXVLC;
   uint32_t threads = d->flags & BTF_DATASET_CONCURRENT_READ ? btfi_thread_count(ds->ctx) : 1;

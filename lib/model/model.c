@@ -46,6 +46,11 @@ static btf_status check_format(btf_context *ctx, const btf_codec_vtbl *v, uint32
   return BTF_OK;
 }
 
+/* A codec sees only that it got no memory; whether a limit forbade it or there was none is known here. */
+static btf_status allocation_status(btf_status of_codec) {
+  return of_codec == BTF_E_NOMEM ? btfi_alloc_status() : of_codec;
+}
+
 btf_status btfi_model_from_payload(const btf_codec *codec, btfi_payload *payload, btf_model **out) {
   const btf_codec_vtbl *v = btfi_codec_vtbl(codec);
   const btfi_model_header *h = btfi_payload_header(payload);
@@ -58,8 +63,8 @@ btf_status btfi_model_from_payload(const btf_codec *codec, btfi_payload *payload
   btfi_payload_retain(payload);
   model->payload = payload;
   set_shape(model, h->lights, h->views, h->width, h->height, h->channels, h->quantity, h->wrap);
-  status =
-      v->load(btfi_host(), ctx, h->codec_format, &model->shape, btfi_payload_reader(payload), &model->state);
+  status = allocation_status(
+      v->load(btfi_host(), ctx, h->codec_format, &model->shape, btfi_payload_reader(payload), &model->state));
   if (status == BTF_OK) {
     model->vtbl = v;
     status = check_levels(model);
@@ -99,7 +104,8 @@ static btf_status fit_payload(const btf_dataset *ds, const btf_codec *codec, con
     BTFI_TRY(btf_options_create(codec, &defaults));
     options = defaults;
   }
-  status = v->fit(btfi_host(), ctx, ds, options, &running.desc, btfi_payload_writer(payload));
+  status =
+      allocation_status(v->fit(btfi_host(), ctx, ds, options, &running.desc, btfi_payload_writer(payload)));
   btf_options_release(defaults);
   btfi_payload_seal(payload);
   return status;
@@ -119,10 +125,10 @@ btf_status btf_model_fit(const btf_dataset *ds, const btf_codec *codec, const bt
   if (job != NULL && job->struct_size >= BTFI_SIZE_TO(btf_job, max_working_set))
     budget = job->max_working_set;
   BTFI_TRY(btfi_payload_create(ctx, ds, btf_codec_id(codec), btfi_codec_vtbl(codec)->format_write, &payload));
-  /* A small budget of the caller's holds for the data's mapping as well. */
-  btfi_dataset_limit_pages(ds, budget < UINT64_C(1) << 30 ? budget : 0);
+  /* A small budget of the caller's holds for reading the data as well. */
+  btfi_dataset_limit_memory(ds, budget < UINT64_C(1) << 30 ? budget : 0);
   status = fit_payload(ds, codec, options, job, payload);
-  btfi_dataset_limit_pages(ds, 0);
+  btfi_dataset_limit_memory(ds, 0);
   /* Loading what a file would hold makes the fresh model and the stored one the same. */
   if (status == BTF_OK) status = btfi_model_from_payload(codec, payload, out);
   btfi_payload_release(payload);
@@ -219,4 +225,14 @@ btf_status btf_model_describe(const btf_model *model, btf_model_info *io) {
     describe_dataset(btfi_dataset_desc(model->dataset), &info);
   return btfi_copy_out(model->ctx, "btf_model_info", io, BTFI_SIZE_TO(btf_model_info, texels_per_mm), &info,
                        sizeof info);
+}
+
+btf_status btf_model_cost(const btf_model *model, uint32_t flags, btf_eval_cost *io) {
+  btf_eval_cost cost = BTF_EVAL_COST_INIT;
+  if (model == NULL) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_model_cost: the model must not be NULL");
+  if (flags & ~(uint32_t)(BTF_QUERY_NEAREST | BTF_COST_SHARED_DIRECTIONS))
+    return btfi_fail(model->ctx, BTF_E_INVALID_ARG, "btf_model_cost: unknown flags %#x", flags);
+  if (model->vtbl->cost != NULL) model->vtbl->cost(model->state, flags, &cost);
+  return btfi_copy_out(model->ctx, "btf_eval_cost", io, BTFI_SIZE_TO(btf_eval_cost, flops), &cost,
+                       sizeof cost);
 }

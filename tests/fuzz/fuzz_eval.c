@@ -5,9 +5,10 @@
 
 #include <math.h>
 
+#include "codec_cases.h"
 #include "copy_codec.h"
 
-enum { MOST_QUERIES = 80, MODELS_MAX = 16 };
+enum { MOST_QUERIES = 80, MODELS_MAX = 64, CHANNELS_MAX = 4 };
 
 /* Of the leak checker, where there is one. */
 extern void __lsan_disable(void) __attribute__((weak));
@@ -57,6 +58,15 @@ static void set_up(void) {
     fit(grey, fmf, "q8", "plain");
     fit(grey, fmf, "f16", "packed");
   }
+  for (size_t i = 0; i < codec_case_count; i++) {
+    const codec_case *row = &codec_cases[i];
+    const codec_dataset_recipe recipe = {MATERIAL_SMOOTH, codec_case_channels(row, 3), SOURCE_RESIDENT, 0,
+                                         0.0f};
+    btf_model *model;
+    if (strcmp(row->codec, "fmf") == 0 || btf_codec_find(ctx, row->codec) == NULL) continue;
+    fuzz_expect(codec_case_fit(ctx, row, &recipe, NULL, NULL, &model) == BTF_OK);
+    keep(model);
+  }
   btf_dataset_release(rgb);
   btf_dataset_release(grey);
   btf_context_release(ctx);
@@ -91,9 +101,9 @@ static btf_query query_of(const queries *q, size_t i, uint32_t flags) {
 
 static void check_batch(const btf_model *model, uint32_t channels, const queries *q, uint32_t flags,
                         int32_t value, int with_lod) {
-  static float results[3][MOST_QUERIES];
-  float *out[3] = {results[0], results[1], results[2]};
-  float one[3];
+  static float results[CHANNELS_MAX][MOST_QUERIES];
+  float *out[CHANNELS_MAX] = {results[0], results[1], results[2], results[3]};
+  float one[CHANNELS_MAX];
   btf_batch batch = BTF_BATCH_INIT;
   for (int k = 0; k < 2; k++) batch.uv[k] = q->arrays[k];
   for (int k = 0; k < 3; k++) batch.light[k] = q->arrays[2 + k];
@@ -116,7 +126,7 @@ static void check_batch(const btf_model *model, uint32_t channels, const queries
 
 static void check_sampling(const btf_model *model, uint32_t channels, const btf_query *query,
                            const float xi[2]) {
-  float light[3], weight[3];
+  float light[3], weight[CHANNELS_MAX];
   const float pdf = btf_model_pdf(model, query);
   fuzz_expect(isfinite(pdf) && pdf >= 0.0f);
   const float drawn = btf_model_sample(model, query, xi, light, weight);
@@ -146,7 +156,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
   if (kind & 2) fuzz_take(&in, &flags, sizeof flags);
   const int32_t value = kind & 4 ? (int32_t)fuzz_u8(&in) : (int32_t)(kind >> 3) % 3;
   for (int k = 0; k < 2; k++) xi[k] = take_float(&in);
-  fuzz_expect(btf_model_describe(model, &info) == BTF_OK && info.channels <= 3);
+  fuzz_expect(btf_model_describe(model, &info) == BTF_OK && info.channels <= CHANNELS_MAX);
   for (q.count = 0; q.count < MOST_QUERIES && in.size > 0; q.count++) {
     const uint32_t repeat = fuzz_u8(&in); /* directions of the query before, which a batch shares */
     for (int k = 0; k < 9; k++)

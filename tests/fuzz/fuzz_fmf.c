@@ -1,50 +1,15 @@
 /* SPDX-License-Identifier: MIT */
 /* The payload of FMF: chunks made from the input go straight to the loader, with the sizes that the header
  * asks for, so that every input gets to what lies behind the check of sizes; some inputs are off by a few
- * bytes. What loads is evaluated with the kernels of each instruction set. */
-#include "fuzz.h"
-
-#include <math.h>
-
-#include "container/container.h"
-#include "model/model.h"
-#include "registry/registry.h"
+ * bytes. */
+#include "fuzz_payload.h"
 
 #include "../../codecs/fmf/fmf.h"
 
-enum { SETS = 4, ISAS = 3, LARGEST_TABLE = 1 << 17, QUERIES = 10 };
-
-static const char *const set_names[SETS] = {"grid:1x1", "grid:2x1", "grid:3x2", "grid:5x3"};
-static const char *const isa_names[ISAS] = {"scalar", "avx2", "avx512"};
-
-typedef struct machine {
-  btf_context *ctx;
-  btf_dirset *sets[SETS];
-} machine;
-
-static machine machines[ISAS];
-
-static void set_up(void) {
-  for (int i = 0; i < ISAS; i++) {
-    btf_limits limits = BTF_LIMITS_INIT;
-    btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
-    limits.max_memory = (uint64_t)64 << 20;
-    desc.limits = &limits;
-    desc.max_threads = 1;
-    desc.isa = isa_names[i];
-    fuzz_expect(btf_context_create(&desc, &machines[i].ctx) == BTF_OK);
-    for (int k = 0; k < SETS; k++)
-      fuzz_expect(btf_dirset_create_named(machines[i].ctx, set_names[k], &machines[i].sets[k]) == BTF_OK);
-  }
-}
-
-static btf_status never_read(void *user, const btf_block *block, void *dst, const btf_strides *strides) {
-  (void)user, (void)block, (void)dst, (void)strides;
-  return BTF_E_STATE;
-}
+enum { LARGEST_TABLE = 1 << 17 };
 
 typedef struct recipe {
-  uint32_t width, height, channels, light_set, view_set, wrap, quantity;
+  fuzz_shape shape;
   uint32_t tame;   /* singular values, scales and steps are harmless */
   uint32_t faulty; /* 0, or the number of the chunk of a wrong size, from 1 */
   int32_t off;     /* by so many bytes */
@@ -53,15 +18,15 @@ typedef struct recipe {
 
 static void take_recipe(fuzz_bytes *in, recipe *r) {
   const uint32_t flags = fuzz_u8(in), fault = fuzz_u8(in);
-  r->width = 1 + fuzz_u8(in) % 12;
-  r->height = 1 + fuzz_u8(in) % 12;
-  r->channels = fuzz_u8(in);
-  r->channels = r->channels >= 192 ? r->channels % 64 + 1 : r->channels % 4 + 1;
+  r->shape.width = 1 + fuzz_u8(in) % 12;
+  r->shape.height = 1 + fuzz_u8(in) % 12;
+  r->shape.channels = fuzz_u8(in);
+  r->shape.channels = r->shape.channels >= 192 ? r->shape.channels % 64 + 1 : r->shape.channels % 4 + 1;
   const uint32_t sets = fuzz_u8(in);
-  r->light_set = sets % SETS;
-  r->view_set = sets / SETS % SETS;
-  r->wrap = flags & 1;
-  r->quantity = flags & 2 ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF;
+  r->shape.lights = fuzz_set_names[sets % FUZZ_SETS];
+  r->shape.views = fuzz_set_names[sets / FUZZ_SETS % FUZZ_SETS];
+  r->shape.wrap = flags & 1;
+  r->shape.quantity = flags & 2 ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF;
   r->tame = flags & 4;
   r->faulty = fault & 7;
   r->off = (int32_t)(fault >> 3) - 16;
@@ -190,9 +155,10 @@ static void put_packed(writing *w, uint32_t tag, uint32_t channels, uint64_t poi
   free(bytes);
 }
 
-/* False if tables are left out because they would be too large to make here. */
-static bool put_chunks(writing *w, const btf_model_shape *shape) {
-  const recipe *r = w->r;
+/* 0 if tables are left out because they would be too large to make here. */
+static int put_chunks(void *user, btf_chunk_writer *to, const btf_model_shape *shape, fuzz_bytes *in) {
+  const recipe *r = user;
+  writing writes = {.r = r, .in = in, .to = to}, *w = &writes;
   const uint32_t lights = btf_dirset_count(shape->lights), views = btf_dirset_count(shape->views);
   const uint64_t points[2] = {(uint64_t)lights * views, (uint64_t)shape->width * shape->height};
   btfi_fmf_layout layout;
@@ -202,114 +168,24 @@ static bool put_chunks(writing *w, const btf_model_shape *shape) {
   put(w, FMF_TAG_HEAD, 0, head, sizeof head);
   put_sigma(w);
   if (r->head.coding == FMF_PLAIN) {
-    if (r->head.columns > FMF_MAX_COLUMNS || r->head.storage >= FMF_STORAGES || r->head.levels > 8)
-      return false;
+    if (r->head.columns > FMF_MAX_COLUMNS || r->head.storage >= FMF_STORAGES || r->head.levels > 8) return 0;
     if (!btfi_fmf_layout_of(shape, lights, views, r->head.storage, r->head.columns, r->head.levels,
                             &layout) ||
         layout.u_bytes > LARGEST_TABLE || layout.v_bytes[0] > LARGEST_TABLE)
-      return false;
+      return 0;
     put_plain(w, &layout);
   } else {
-    if ((points[0] * r->channels + points[1]) * r->head.components > LARGEST_TABLE) return false;
-    put_packed(w, FMF_TAG_PACKED_U, r->channels, points[0]);
+    if ((points[0] * r->shape.channels + points[1]) * r->head.components > LARGEST_TABLE) return 0;
+    put_packed(w, FMF_TAG_PACKED_U, r->shape.channels, points[0]);
     put_packed(w, FMF_TAG_PACKED_V, 1, points[1]);
   }
-  return true;
-}
-
-/* ---- evaluation ---- */
-
-static void evaluate(const btf_model *model, fuzz_bytes *in) {
-  static const float some[QUERIES][9] = {
-      {0.3f, 0.7f, 0.0f, 0.6f, 0.8f, 0.6f, 0.0f, 0.8f, 0.0f},
-      {-7.1f, 1e9f, 0.0f, 0.6f, 0.8f, 0.6f, 0.0f, 0.8f, 2.5f},
-      {0.999f, 0.001f, -0.5f, 0.5f, 0.7f, 0.1f, 0.9f, 0.4f, 40.0f},
-      {0.5f, 0.5f, NAN, 0.0f, 1.0f, 0.0f, 0.0f, 1.0f, 0.0f},
-      {INFINITY, NAN, 0.0f, 0.0f, INFINITY, 0.0f, NAN, 1.0f, -INFINITY},
-      {0.0f, 1.0f, 0.0f, 0.0f, 1.0f, 0.0f, 0.0f, 1.0f, 0.5f},
-  };
-  static const uint32_t flags[] = {0, BTF_QUERY_NEAREST};
-  float arrays[9][QUERIES], results[64][QUERIES], one[64];
-  float *out[64];
-  btf_model_info info = BTF_MODEL_INFO_INIT;
-  btf_batch batch = BTF_BATCH_INIT;
-  fuzz_expect(btf_model_describe(model, &info) == BTF_OK);
-  for (int q = 0; q < QUERIES; q++) {
-    float coordinates[9];
-    memcpy(coordinates, some[q], sizeof coordinates);
-    if (q >= 6 && in->size > 0) fuzz_take(in, coordinates, sizeof coordinates);
-    for (int k = 0; k < 9; k++) arrays[k][q] = coordinates[k];
-  }
-  for (int k = 0; k < 2; k++) batch.uv[k] = arrays[k];
-  for (int k = 0; k < 3; k++) batch.light[k] = arrays[2 + k];
-  for (int k = 0; k < 3; k++) batch.view[k] = arrays[5 + k];
-  batch.lod = arrays[8];
-  batch.count = QUERIES;
-  for (uint32_t c = 0; c < info.channels; c++) out[c] = results[c];
-  for (size_t f = 0; f < sizeof flags / sizeof *flags; f++) {
-    batch.flags = flags[f];
-    btf_model_eval_n(model, &batch, BTF_VALUE_STORED, out);
-    for (int q = 0; q < QUERIES; q++) {
-      btf_query query = {.lod = arrays[8][q], .flags = flags[f]};
-      for (int k = 0; k < 2; k++) query.uv[k] = arrays[k][q];
-      for (int k = 0; k < 3; k++) query.light[k] = arrays[2 + k][q];
-      for (int k = 0; k < 3; k++) query.view[k] = arrays[5 + k][q];
-      btf_model_eval_as(model, &query, BTF_VALUE_STORED, one);
-      for (uint32_t c = 0; c < info.channels; c++) {
-        fuzz_expect(isfinite(one[c]));
-        fuzz_expect(memcmp(&one[c], &results[c][q], sizeof(float)) == 0);
-      }
-    }
-  }
-  for (uint32_t level = 0; level < info.levels; level++) {
-    const uint32_t width = info.width >> level, height = info.height >> level;
-    btf_model_texel(model, level, width > 0 ? width - 1 : 0, height > 0 ? height - 1 : 0,
-                    btf_dirset_count(info.lights) - 1, btf_dirset_count(info.views) - 1, one);
-    for (uint32_t c = 0; c < info.channels; c++) fuzz_expect(isfinite(one[c]));
-  }
-}
-
-static void load(machine *m, const recipe *r, fuzz_bytes in) {
-  btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
-  const btf_codec *codec = btf_codec_find(m->ctx, "fmf");
-  btfi_payload *payload;
-  btf_dataset *ds;
-  btf_model *model;
-  uint64_t before, after;
-  btf_context_memory(m->ctx, &before, NULL);
-  desc.lights = m->sets[r->light_set];
-  desc.views = m->sets[r->view_set];
-  desc.width = r->width;
-  desc.height = r->height;
-  desc.channels = r->channels;
-  desc.wrap = r->wrap;
-  desc.quantity = r->quantity;
-  desc.read = never_read;
-  fuzz_expect(btf_dataset_create(m->ctx, &desc, &ds) == BTF_OK);
-  fuzz_expect(btfi_payload_create(m->ctx, ds, "fmf", 1, &payload) == BTF_OK);
-  const btf_model_shape shape = {desc.lights, desc.views,  r->width, r->height,
-                                 r->channels, r->quantity, r->wrap,  0};
-  writing w = {.r = r, .in = &in, .to = btfi_payload_writer(payload)};
-  const bool complete = put_chunks(&w, &shape);
-  btfi_payload_seal(payload);
-  const btf_status status = btfi_model_from_payload(codec, payload, &model);
-  fuzz_expect(status == BTF_OK || status / 10 == 2 || status == BTF_E_NOMEM || status == BTF_E_LIMIT);
-  fuzz_expect(complete || status != BTF_OK);
-  if (status == BTF_OK) evaluate(model, &in);
-  btf_model_release(model);
-  btfi_payload_release(payload);
-  btf_dataset_release(ds);
-  btf_context_memory(m->ctx, &after, NULL);
-  fuzz_expect(before == after);
+  return 1;
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
   fuzz_bytes in = {data, size};
   recipe r = {0};
-  if (machines[0].ctx == NULL) set_up();
   take_recipe(&in, &r);
-  for (int i = 0; i < ISAS; i++)
-    if (i == 0 || strcmp(btf_context_isa(machines[i].ctx), btf_context_isa(machines[i - 1].ctx)) != 0)
-      load(&machines[i], &r, in);
+  fuzz_payload_check("fmf", &r.shape, put_chunks, &r, in);
   return 0;
 }
