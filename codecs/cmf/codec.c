@@ -24,6 +24,8 @@ BTF_PARAM(method, BTF_PARAM_CHOICE,
 BTF_PARAM(residue, BTF_PARAM_CHOICE,
           "later stages fit data over approximation, or that weighted by the approximation: the error itself",
           NULL, "weighted", residues, 0, 0);
+BTF_PARAM(sweeps, BTF_PARAM_INT, "times that every stage is fitted again to what the others leave, weighted",
+          NULL, "1", NULL, 0, 100);
 BTF_PARAM(average, BTF_PARAM_CHOICE,
           "cells of resampled tables: valid ones by solid angle, or all alike with 0 below the horizon", NULL,
           "valid", averages, 0, 0);
@@ -36,9 +38,9 @@ BTF_PARAM(resolution, BTF_PARAM_INT, "edge of those tables; angular ones have ha
 BTF_PARAM(edge, BTF_PARAM_INT, "edge of the parabolic maps", "texel", "32", NULL, CMF_MIN_EDGE, CMF_MAX_EDGE);
 BTF_PARAM(epsilon, BTF_PARAM_FLOAT, "least divisor of a residue, relative to the largest value of the ABRDF",
           NULL, "0.001", NULL, 1e-6, 1);
-BTF_PARAM(lambda, BTF_PARAM_FLOAT, "smoothness of homomorphic factors", NULL, "0.1", NULL, 1e-4, 1e4);
-BTF_PARAM(floor, BTF_PARAM_FLOAT,
-          "least value to take the logarithm of, relative to the largest of the ABRDF", NULL, "0.001", NULL,
+BTF_PARAM(lambda, BTF_PARAM_FLOAT, "smoothness of homomorphic factors", NULL, "0.3", NULL, 1e-4, 1e4);
+BTF_PARAM(log_floor, BTF_PARAM_FLOAT,
+          "least value to take the logarithm of, relative to the largest of the ABRDF", NULL, "0.003", NULL,
           1e-6, 1);
 BTF_PARAM(storage, BTF_PARAM_CHOICE, "values of maps and scales", NULL, "u8", storages, 0, 0);
 BTF_PARAM(codebook, BTF_PARAM_INT, "entries of each factor's codebook; 0 = maps of every texel's own", NULL,
@@ -51,8 +53,8 @@ BTF_PARAM(rotate, BTF_PARAM_BOOL, "turn each ABRDF to its direction of maximal a
 BTF_PARAM(levels, BTF_PARAM_INT, "levels of detail, 0 = all", NULL, "0", NULL, 0, CMF_MAX_LEVELS);
 
 static const btf_param_desc *const params[] = {
-    &factors, &chain, &method,  &residue,  &average, &symmetric, &grid,   &resolution, &edge, &epsilon,
-    &lambda,  &floor, &storage, &codebook, &cluster, &samples,   &rotate, &levels,     NULL};
+    &factors, &chain,  &method,    &residue, &sweeps,   &average, &symmetric, &grid,   &resolution, &edge,
+    &epsilon, &lambda, &log_floor, &storage, &codebook, &cluster, &samples,   &rotate, &levels,     NULL};
 
 static uint32_t level_count(const void *state) {
   return ((const btfi_cmf_state *)state)->levels;
