@@ -67,14 +67,13 @@ static uint64_t resident_bytes(const void *state) {
 /* Each factor of each texel is two places: the upper and the lower two texels of its map. */
 static void cost(const void *state, uint32_t flags, btf_eval_cost *out) {
   const btfi_cmf_state *s = state;
-  const double texels = flags & BTF_QUERY_NEAREST ? 1 : 4, factors = s->factors, channels = s->channels;
-  const double values = texels * channels * (4 * factors + s->scales),
-               indices = texels * factors * s->index_bytes;
-  out->rows = texels * (2 * factors + 2);
+  const double texels = flags & BTF_QUERY_NEAREST ? 1 : 4, maps = s->factors, channels = s->channels;
+  const double values = texels * channels * (4 * maps + s->scales), indices = texels * maps * s->index_bytes;
+  out->rows = texels * (2 * maps + 2);
   out->values = values;
   out->bytes = values * btfi_cmf_value_bytes(s->storage) + indices;
   /* Blending four values and decoding the result, then the product; and the projections. */
-  out->flops = texels * channels * (10 * factors + 2) + (flags & BTF_COST_SHARED_DIRECTIONS ? 0 : 60);
+  out->flops = texels * channels * (10 * maps + 2) + (flags & BTF_COST_SHARED_DIRECTIONS ? 0 : 60);
 }
 
 /* A build that only evaluates has no linear algebra, and does not offer to fit. */
