@@ -92,10 +92,11 @@ GROWABLE(btf_model_info, texels_per_mm, 136, 136);
 GROWABLE(btf_batch, reserved, 96, 96);
 GROWABLE(btf_svd_desc, reserved, 88, 88);
 GROWABLE(btf_svd_result, residual, 56, 56);
+GROWABLE(btf_statistics, peak, 32, 32);
 GROWABLE(btf_codec_vtbl, texel, 120, 128);
 GROWABLE(btf_eval_cost, flops, 40, 40);
 GROWABLE(btf_plugin_info, reserved, 40, 40);
-GROWABLE(btf_host, mip_filter, 224, 272);
+GROWABLE(btf_host, mip_filter, 224, 288);
 
 AT(btf_codec_vtbl, abi, 4);
 AT(btf_plugin_info, abi, 4);

@@ -158,37 +158,6 @@ btf_status btfi_fmf_unpack(const btf_host *host, btf_context *ctx, const char *n
 /* btfi_fmf_factors.column of a btfi_fmf_packed. */
 void btfi_fmf_packed_column(const void *packed, uint32_t side, uint32_t k, float *dst);
 
-/* ---- the data set as a matrix (matrix.c) ---- */
-
-/* Items are images (rows of B) where those are cheap to read, otherwise texels (columns of B). */
-typedef struct btfi_fmf_matrix {
-  const btf_host *host;
-  btf_context *ctx;
-  const btf_dataset *ds;
-  uint32_t views, lights, channels, width, height;
-  bool by_image;
-  uint32_t layout;        /* BTF_LAYOUT_* of what is read */
-  uint64_t rows, texels;  /* of B */
-  uint64_t items, length; /* of what is read: (rows, texels) or (texels, rows) */
-  uint32_t block_items;   /* items that are best read together */
-  const float *mean;      /* `rows` values to take away, or NULL */
-  float *partial;         /* channels x texels, for reads that begin or end within a pixel's channels */
-} btfi_fmf_matrix;
-
-btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
-                                uint64_t max_working_set, btfi_fmf_matrix *out);
-void btfi_fmf_matrix_close(btfi_fmf_matrix *matrix);
-/* A btf_matrix_read_fn in the matrix's layout; `matrix` is a btfi_fmf_matrix. */
-btf_status btfi_fmf_matrix_read(void *matrix, uint64_t item0, uint64_t items, float *dst, size_t ld);
-
-typedef struct btfi_fmf_statistics {
-  double energy, centred_energy; /* squared Frobenius norms, of the data and of what the mean leaves */
-  double peak;                   /* 99.9th percentile of all samples, from below */
-} btfi_fmf_statistics;
-/* Reads everything once; `mean` receives the mean of each row of B unless it is NULL. */
-btf_status btfi_fmf_measure(btfi_fmf_matrix *matrix, const btf_job *job, double from, double to, float *mean,
-                            btfi_fmf_statistics *out);
-
 /* ---- payload (load.c, fit.c) ---- */
 
 typedef struct btfi_fmf_head {

@@ -77,6 +77,13 @@ typedef struct btf_svd_result {
   double residual;        /**< squared Frobenius error of the truncation */
 } btf_svd_result;
 
+/** What one reading of a data set tells. */
+typedef struct btf_statistics {
+  size_t struct_size;
+  double energy, centred_energy; /**< sums of squares, of the samples and of what the mean ABRDF leaves of them */
+  double peak;                   /**< 99.9th percentile of all samples, from below */
+} btf_statistics;
+
 /** Receives the ABRDF of texel (x, y) of a level: abrdf[(view * lights + light) * channels + channel]. Called from
  *  tasks of `parallel`; `thread` is as there. It cannot fail: room it needs is made before, one for each thread. */
 typedef void (*btf_abrdf_fn)(void *user, uint32_t level, uint32_t x, uint32_t y, const float *abrdf, uint32_t thread);
@@ -164,6 +171,16 @@ typedef struct btf_host {
   btf_status (*symmetric_eigen)(btf_context *ctx, uint32_t n, double *a, double *values);
   btf_status (*cholesky)(btf_context *ctx, uint32_t n, double *a);
   btf_status (*cholesky_solve)(btf_context *ctx, uint32_t n, const double *factor, uint32_t columns, double *b);
+
+  /* The data set as a matrix of a row for each (view, light, channel), channel fastest, and a column for each texel, x
+   * fastest. Both read it in the direction its samples lie in, and within max_working_set (0 = 1 GiB).
+   * measure: energy, peak and, unless it is NULL, the mean of each row, in one reading.
+   * svd_dataset: svd of the matrix, with `mean` (or NULL) taken from each row; items are texels and elements are rows
+   * in the result. Of desc, items, length, read, user, layout and block_items are not looked at. */
+  btf_status (*measure)(btf_context *ctx, const btf_dataset *ds, uint64_t max_working_set, float *mean,
+                        btf_statistics *out, const btf_job *job, double from, double to);
+  btf_status (*svd_dataset)(btf_context *ctx, const btf_dataset *ds, const float *mean, const btf_svd_desc *desc,
+                            const btf_job *job, double from, double to, btf_svd_result *out);
 } btf_host;
 
 /** A codec. Copied at registration; optional slots may be NULL. Grows at its end only. `state` is what load made.

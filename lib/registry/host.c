@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 /* The host table: what codecs may call. */
 #include "dataset/dataset.h"
+#include "dataset/matrix.h"
 #include "registry/registry.h"
 #ifdef LIBBTF_FIT
 #include "dense/dense.h"
@@ -54,6 +55,13 @@ static btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *desc, const btf
   return evaluates_only(ctx);
 }
 
+static btf_status btfi_svd_dataset(btf_context *ctx, const btf_dataset *ds, const float *mean,
+                                   const btf_svd_desc *desc, const btf_job *job, double from, double to,
+                                   btf_svd_result *out) {
+  (void)ds, (void)mean;
+  return btfi_svd(ctx, desc, job, from, to, out);
+}
+
 static void btfi_svd_free(btf_context *ctx, btf_svd_result *result) {
   (void)ctx;
   (void)result;
@@ -96,6 +104,8 @@ static const btf_host host = {
     .symmetric_eigen = btfi_symmetric_eigen,
     .cholesky = btfi_cholesky,
     .cholesky_solve = btfi_cholesky_solve,
+    .measure = btfi_measure,
+    .svd_dataset = btfi_svd_dataset,
 };
 
 const btf_host *btfi_host(void) {

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
 /* statistics.c: mean ABRDF, energy and peak of a data set in one reading. */
-#include "fmf.h"
+#include "dataset/matrix.h"
 
 #include <math.h>
 #include <string.h>
@@ -13,7 +13,7 @@ enum {
 };
 
 typedef struct statistics_pass {
-  const btfi_fmf_matrix *matrix;
+  const btfi_matrix *matrix;
   const float *block;
   uint64_t items;
   double *sums; /* of each row of B */
@@ -25,7 +25,7 @@ typedef struct statistics_pass {
 /* Takes one of PARTS ranges of the rows of B, so that sums do not depend on which thread makes them. */
 static void take_part(void *job, uint32_t part, uint32_t thread) {
   statistics_pass *pass = job;
-  const btfi_fmf_matrix *m = pass->matrix;
+  const btfi_matrix *m = pass->matrix;
   const uint64_t rows = m->by_image ? pass->items : m->rows, others = m->by_image ? m->texels : pass->items;
   const bool columns = m->layout == BTF_LAYOUT_ITEM_COLUMNS;
   const uint64_t row_step = m->by_image ? m->length : columns ? pass->items : 1;
@@ -70,33 +70,33 @@ static void add_up_counts(statistics_pass *pass, uint32_t threads) {
   memset(pass->counts, 0, (uint64_t)threads * BINS * sizeof *pass->counts);
 }
 
-static btf_status read_all(btfi_fmf_matrix *m, const btf_job *job, double from, double to,
-                           statistics_pass *pass, float *block, uint64_t block_items) {
-  const uint32_t threads = m->host->thread_count(m->ctx);
+static btf_status read_all(btfi_matrix *m, const btf_job *job, double from, double to, statistics_pass *pass,
+                           float *block, uint64_t block_items) {
+  const uint32_t threads = btfi_thread_count(m->ctx);
   double *const row_sums = pass->sums;
   uint64_t counted = 0;
   for (uint64_t item = 0; item < m->items; item += block_items) {
     pass->items = m->items - item < block_items ? m->items - item : block_items;
-    BTF_TRY(m->host->progress(job, from + (to - from) * (double)item / (double)m->items, "statistics"));
-    BTF_TRY(btfi_fmf_matrix_read(m, item, pass->items, block,
-                                 m->layout == BTF_LAYOUT_ITEM_COLUMNS ? pass->items : m->length));
+    BTFI_TRY(btfi_progress(job, from + (to - from) * (double)item / (double)m->items, "statistics"));
+    BTFI_TRY(btfi_matrix_read(m, item, pass->items, block,
+                              m->layout == BTF_LAYOUT_ITEM_COLUMNS ? pass->items : m->length));
     pass->sums = m->by_image ? row_sums + item : row_sums;
     if (counted > UINT32_MAX - pass->items * m->length) {
       add_up_counts(pass, threads);
       counted = 0;
     }
     counted += pass->items * m->length;
-    BTF_TRY(m->host->parallel(m->ctx, PARTS, take_part, pass));
+    BTFI_TRY(btfi_parallel(m->ctx, PARTS, take_part, pass));
   }
   add_up_counts(pass, threads);
   pass->sums = row_sums;
   return BTF_OK;
 }
 
-btf_status btfi_fmf_measure(btfi_fmf_matrix *m, const btf_job *job, double from, double to, float *mean,
-                            btfi_fmf_statistics *out) {
-  const uint32_t threads = m->host->thread_count(m->ctx);
-  const uint64_t budget = job->max_working_set / 4 / sizeof(float);
+static btf_status measure(btfi_matrix *m, uint64_t max_working_set, float *mean, btf_statistics *out,
+                          const btf_job *job, double from, double to) {
+  const uint32_t threads = btfi_thread_count(m->ctx);
+  const uint64_t budget = max_working_set / 4 / sizeof(float);
   const uint64_t block_floats = budget < BLOCK_FLOATS ? budget : BLOCK_FLOATS;
   const uint64_t unit = m->by_image ? m->channels : 1;
   uint64_t block_items = block_floats / m->length / unit * unit;
@@ -104,11 +104,11 @@ btf_status btfi_fmf_measure(btfi_fmf_matrix *m, const btf_job *job, double from,
   btf_status status = BTF_E_NOMEM;
   if (block_items < unit) block_items = unit;
   if (block_items > m->items) block_items = m->items;
-  float *block = m->host->alloc(m->ctx, block_items, m->length * sizeof *block);
+  float *block = btfi_alloc(m->ctx, block_items, m->length * sizeof *block);
   pass.block = block;
-  pass.sums = m->host->alloc(m->ctx, m->rows, sizeof *pass.sums);
-  pass.counts = m->host->alloc(m->ctx, (uint64_t)threads * BINS, sizeof *pass.counts);
-  pass.histogram = m->host->alloc(m->ctx, BINS, sizeof *pass.histogram);
+  pass.sums = btfi_alloc(m->ctx, m->rows, sizeof *pass.sums);
+  pass.counts = btfi_alloc(m->ctx, (uint64_t)threads * BINS, sizeof *pass.counts);
+  pass.histogram = btfi_alloc(m->ctx, BINS, sizeof *pass.histogram);
   if (block != NULL && pass.sums != NULL && pass.counts != NULL && pass.histogram != NULL) {
     memset(pass.sums, 0, m->rows * sizeof *pass.sums);
     memset(pass.counts, 0, (uint64_t)threads * BINS * sizeof *pass.counts);
@@ -127,9 +127,21 @@ btf_status btfi_fmf_measure(btfi_fmf_matrix *m, const btf_job *job, double from,
     out->centred_energy = fmax(0.0, out->centred_energy);
     out->peak = find_peak(&pass, m->rows * m->texels);
   }
-  m->host->free(m->ctx, block);
-  m->host->free(m->ctx, pass.sums);
-  m->host->free(m->ctx, pass.counts);
-  m->host->free(m->ctx, pass.histogram);
+  btfi_free(m->ctx, block);
+  btfi_free(m->ctx, pass.sums);
+  btfi_free(m->ctx, pass.counts);
+  btfi_free(m->ctx, pass.histogram);
   return status;
+}
+
+btf_status btfi_measure(btf_context *ctx, const btf_dataset *ds, uint64_t max_working_set, float *mean,
+                        btf_statistics *out, const btf_job *job, double from, double to) {
+  btf_statistics all = {.struct_size = sizeof all};
+  btfi_matrix matrix;
+  if (max_working_set == 0) max_working_set = (uint64_t)1 << 30;
+  BTFI_TRY(btfi_matrix_open(ctx, ds, max_working_set, &matrix));
+  const btf_status status = measure(&matrix, max_working_set, mean, &all, job, from, to);
+  btfi_matrix_close(&matrix);
+  if (status != BTF_OK) return status;
+  return btfi_copy_out(ctx, "btf_statistics", out, BTFI_SIZE_TO(btf_statistics, peak), &all, sizeof all);
 }

@@ -1,29 +1,28 @@
 /* SPDX-License-Identifier: MIT */
-/* matrix.c: a data set read as the matrix B, in the direction that its samples lie in. */
-#include "fmf.h"
+/* matrix.c: a data set read as a matrix, in the direction that its samples lie in. */
+#include "dataset/matrix.h"
 
 #include <string.h>
 
 enum { SMALL_BUDGET = 1 << 30 };
 
-btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
-                                uint64_t max_working_set, btfi_fmf_matrix *out) {
+btf_status btfi_matrix_open(btf_context *ctx, const btf_dataset *ds, uint64_t max_working_set,
+                            btfi_matrix *out) {
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   uint64_t samples;
   memset(out, 0, sizeof *out);
-  BTF_TRY(host->dataset_describe(ds, &desc));
-  out->host = host;
+  BTFI_TRY(btf_dataset_describe(ds, &desc));
   out->ctx = ctx;
   out->ds = ds;
-  out->views = host->dirset_count(desc.views);
-  out->lights = host->dirset_count(desc.lights);
+  out->views = btf_dirset_count(desc.views);
+  out->lights = btf_dirset_count(desc.lights);
   out->channels = desc.channels;
   out->width = desc.width;
   out->height = desc.height;
   out->texels = (uint64_t)desc.width * desc.height;
   if (__builtin_mul_overflow((uint64_t)out->views * out->lights, (uint64_t)out->channels, &out->rows) ||
       __builtin_mul_overflow(out->rows, out->texels, &samples) || samples > UINT64_MAX / sizeof(float))
-    return host->fail(ctx, BTF_E_LIMIT, "fmf: the data set has more samples than 64 bits can count");
+    return btfi_fail(ctx, BTF_E_LIMIT, "the data set has more samples than 64 bits can count");
   const bool image_major =
       (desc.flags & BTF_DATASET_IMAGE_MAJOR) != 0 ||
       (desc.data != NULL && desc.strides.view > desc.strides.y && desc.strides.view > desc.strides.x);
@@ -40,14 +39,13 @@ btf_status btfi_fmf_matrix_open(const btf_host *host, btf_context *ctx, const bt
   return BTF_OK;
 }
 
-void btfi_fmf_matrix_close(btfi_fmf_matrix *matrix) {
-  matrix->host->free(matrix->ctx, matrix->partial);
+void btfi_matrix_close(btfi_matrix *matrix) {
+  btfi_free(matrix->ctx, matrix->partial);
   matrix->partial = NULL;
 }
 
 /* Images of whole (view, light) pairs. A run of pairs is a box only within one view or over whole views. */
-static btf_status read_pairs(const btfi_fmf_matrix *m, uint64_t pair0, uint64_t pairs, float *dst,
-                             size_t ld) {
+static btf_status read_pairs(const btfi_matrix *m, uint64_t pair0, uint64_t pairs, float *dst, size_t ld) {
   const ptrdiff_t image = (ptrdiff_t)(ld * sizeof *dst), pair_step = image * m->channels;
   const btf_strides strides = {pair_step * m->lights, pair_step, (ptrdiff_t)(m->width * sizeof *dst),
                                (ptrdiff_t)sizeof *dst, image};
@@ -60,7 +58,7 @@ static btf_status read_pairs(const btfi_fmf_matrix *m, uint64_t pair0, uint64_t 
       block.lights = (uint32_t)pairs;
     }
     const uint64_t done = (uint64_t)block.views * block.lights;
-    BTF_TRY(m->host->dataset_read(m->ds, &block, dst, &strides));
+    BTFI_TRY(btf_dataset_read(m->ds, &block, dst, &strides));
     dst += done * m->channels * ld;
     pair0 += done;
     pairs -= done;
@@ -69,29 +67,29 @@ static btf_status read_pairs(const btfi_fmf_matrix *m, uint64_t pair0, uint64_t 
 }
 
 /* Some channels of one pair. */
-static btf_status read_channels(btfi_fmf_matrix *m, uint64_t pair, uint32_t channel, uint32_t channels,
+static btf_status read_channels(btfi_matrix *m, uint64_t pair, uint32_t channel, uint32_t channels,
                                 float *dst, size_t ld) {
   if (m->partial == NULL) {
-    m->partial = m->host->alloc(m->ctx, m->texels, m->channels * sizeof *m->partial);
-    if (m->partial == NULL) return BTF_E_NOMEM;
+    m->partial = btfi_alloc(m->ctx, m->texels, m->channels * sizeof *m->partial);
+    if (m->partial == NULL) return btfi_alloc_status();
   }
-  BTF_TRY(read_pairs(m, pair, 1, m->partial, m->texels));
+  BTFI_TRY(read_pairs(m, pair, 1, m->partial, m->texels));
   for (uint32_t c = 0; c < channels; c++)
     memcpy(dst + c * ld, m->partial + (channel + c) * m->texels, m->texels * sizeof *dst);
   return BTF_OK;
 }
 
-static btf_status read_images(btfi_fmf_matrix *m, uint64_t item0, uint64_t items, float *dst, size_t ld) {
+static btf_status read_images(btfi_matrix *m, uint64_t item0, uint64_t items, float *dst, size_t ld) {
   while (items > 0) {
     const uint64_t pair = item0 / m->channels;
     const uint32_t channel = (uint32_t)(item0 % m->channels);
     uint64_t done;
     if (channel == 0 && items >= m->channels) {
       done = items / m->channels * m->channels;
-      BTF_TRY(read_pairs(m, pair, done / m->channels, dst, ld));
+      BTFI_TRY(read_pairs(m, pair, done / m->channels, dst, ld));
     } else {
       done = m->channels - channel < items ? m->channels - channel : items;
-      BTF_TRY(read_channels(m, pair, channel, (uint32_t)done, dst, ld));
+      BTFI_TRY(read_channels(m, pair, channel, (uint32_t)done, dst, ld));
     }
     dst += done * ld;
     item0 += done;
@@ -101,8 +99,7 @@ static btf_status read_images(btfi_fmf_matrix *m, uint64_t item0, uint64_t items
 }
 
 /* ABRDFs. A run of texels is a box only within one line or over whole lines. */
-static btf_status read_texels(const btfi_fmf_matrix *m, uint64_t item0, uint64_t items, float *dst,
-                              size_t ld) {
+static btf_status read_texels(const btfi_matrix *m, uint64_t item0, uint64_t items, float *dst, size_t ld) {
   const bool columns = m->layout == BTF_LAYOUT_ITEM_COLUMNS;
   const ptrdiff_t near = sizeof *dst, far = (ptrdiff_t)(ld * sizeof *dst);
   const ptrdiff_t value = columns ? far : near, texel = columns ? near : far;
@@ -117,7 +114,7 @@ static btf_status read_texels(const btfi_fmf_matrix *m, uint64_t item0, uint64_t
       block.width = (uint32_t)items;
     }
     const uint64_t done = (uint64_t)block.width * block.height;
-    BTF_TRY(m->host->dataset_read(m->ds, &block, dst, &strides));
+    BTFI_TRY(btf_dataset_read(m->ds, &block, dst, &strides));
     dst += columns ? done : done * ld;
     item0 += done;
     items -= done;
@@ -125,9 +122,9 @@ static btf_status read_texels(const btfi_fmf_matrix *m, uint64_t item0, uint64_t
   return BTF_OK;
 }
 
-btf_status btfi_fmf_matrix_read(void *matrix, uint64_t item0, uint64_t items, float *dst, size_t ld) {
-  btfi_fmf_matrix *m = matrix;
-  BTF_TRY(m->by_image ? read_images(m, item0, items, dst, ld) : read_texels(m, item0, items, dst, ld));
+btf_status btfi_matrix_read(void *matrix, uint64_t item0, uint64_t items, float *dst, size_t ld) {
+  btfi_matrix *m = matrix;
+  BTFI_TRY(m->by_image ? read_images(m, item0, items, dst, ld) : read_texels(m, item0, items, dst, ld));
   if (m->mean == NULL) return BTF_OK;
   const bool row_by_row = m->by_image || m->layout == BTF_LAYOUT_ITEM_COLUMNS;
   const uint64_t lines = m->by_image || !row_by_row ? items : m->length;
