@@ -522,12 +522,13 @@ static int32_t cancel_late(void *user, double fraction, const char *stage) {
 static void test_budgets(void **unused) {
   (void)unused;
   btf_context *ctx = test_context(&memory);
-  material m = material_create(ctx, BUMPS, "grid:5x3", 16, 12, 3);
-  const char *settings = "codebook=24 resolution=8 levels=2 edge=16";
+  /* The factors of 600 texels are 1.3 MiB, of which about two thirds fit. */
+  material m = material_create(ctx, BUMPS, "grid:5x3", 24, 20, 3);
+  const char *settings = "codebook=8 resolution=8 levels=2 edge=16 samples=200";
   btf_model *roomy = fit(ctx, &m, settings), *model;
   const double error = relative_error(roomy, &m);
   btf_job job = BTF_JOB_INIT;
-  job.max_working_set = 1600u << 10;
+  job.max_working_set = 2300u << 10;
   assert_ok(try_fit(ctx, &m, settings, &job, &model));
   /* Another choice of texels to learn from. */
   assert_true(relative_error(model, &m) < 1.25 * error);
