@@ -1,0 +1,239 @@
+/* SPDX-License-Identifier: MIT */
+/* fit.c: options, the working set, and the order of things. */
+#include "fit.h"
+
+#include <math.h>
+
+static btf_status read_chain(btfi_cmf_fitting *f, const btf_options *options) {
+  const btf_host *host = f->host;
+  const char *text = host->option_text(options, "chain"), *wrong;
+  if (text == NULL || *text == '\0') text = host->option(options, "factors") < 4.0 ? "h,io" : "hd,io";
+  wrong = btfi_cmf_parse_chain(text, &f->settings);
+  if (wrong != NULL) return host->fail(f->ctx, BTF_E_INVALID_ARG, "cmf: chain \"%s\": %s", text, wrong);
+  if (f->settings.method != CMF_HOMOMORPHIC) return BTF_OK;
+  uint32_t maps = 0;
+  for (uint32_t s = 0; s < f->settings.stage_count; s++) {
+    if (f->settings.stage[s].terms > 1)
+      return host->fail(f->ctx, BTF_E_INVALID_ARG,
+                        "cmf: chain \"%s\": the homomorphic method has one term a stage", text);
+    maps += f->settings.stage[s].mean ? 1 : 2;
+  }
+  if (maps > CMF_HF_MAX_MAPS)
+    return host->fail(f->ctx, BTF_E_INVALID_ARG,
+                      "cmf: chain \"%s\": the homomorphic method takes at most %d factors", text,
+                      CMF_HF_MAX_MAPS);
+  return BTF_OK;
+}
+
+static btf_status read_options(btfi_cmf_fitting *f, const btf_options *options) {
+  const btf_host *host = f->host;
+  btfi_cmf_settings *s = &f->settings;
+  s->method = (uint32_t)host->option(options, "method");
+  s->residue = (uint32_t)host->option(options, "residue");
+  s->average = (uint32_t)host->option(options, "average");
+  s->symmetric = host->option(options, "symmetric") != 0.0;
+  s->grid = (uint32_t)host->option(options, "grid");
+  s->resolution = (uint32_t)host->option(options, "resolution");
+  s->edge = (uint32_t)host->option(options, "edge");
+  s->sweeps = (uint32_t)host->option(options, "sweeps");
+  s->epsilon = host->option(options, "epsilon");
+  f->storage = (uint32_t)host->option(options, "storage");
+  f->entries = (uint32_t)host->option(options, "codebook");
+  f->clustering = (uint32_t)host->option(options, "cluster");
+  f->samples = (uint64_t)host->option(options, "samples");
+  f->rotate = host->option(options, "rotate") != 0.0;
+  f->lambda = host->option(options, "lambda");
+  f->floor = host->option(options, "log_floor");
+  f->levels = (uint32_t)host->option(options, "levels");
+  if (f->samples == 0) f->samples = UINT32_MAX;
+  return read_chain(f, options);
+}
+
+static btf_status open_data(btfi_cmf_fitting *f, const btf_dataset_desc *desc) {
+  const uint32_t most = f->host->mip_count(desc->width, desc->height);
+  f->width = desc->width;
+  f->height = desc->height;
+  f->channels = desc->channels;
+  f->lights = f->host->dirset_count(desc->lights);
+  f->views = f->host->dirset_count(desc->views);
+  if ((uint64_t)f->lights * f->views > (uint64_t)1 << 26)
+    return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: %u x %u directions; at most 2^26 pairs are possible",
+                         f->lights, f->views);
+  f->pairs = f->lights * f->views;
+  if (f->settings.symmetric) {
+    const size_t bytes = 3 * sizeof(float) * f->lights;
+    if (f->lights != f->views ||
+        memcmp(f->host->dirset_directions(desc->lights), f->host->dirset_directions(desc->views), bytes) != 0)
+      return f->host->fail(f->ctx, BTF_E_UNSUPPORTED,
+                           "cmf: symmetric factors need the same directions for lights and views");
+  }
+  if (f->levels == 0 || f->levels > most) f->levels = most;
+  if (f->levels > CMF_MAX_LEVELS) f->levels = CMF_MAX_LEVELS;
+  for (uint32_t level = 0; level < f->levels; level++)
+    f->level_first[level + 1] = f->level_first[level] + (uint64_t)btf_sampling_level_size(f->width, level) *
+                                                            btf_sampling_level_size(f->height, level);
+  if (f->level_first[f->levels] > UINT32_MAX)
+    return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: %llu texels; at most 2^32 - 1 are possible",
+                         (unsigned long long)f->level_first[f->levels]);
+  return BTF_OK;
+}
+
+/* Takes memory that counts against the working set. */
+static void *take(btfi_cmf_fitting *f, uint64_t count, uint64_t size) {
+  f->used += count * size;
+  return f->host->alloc(f->ctx, count, size);
+}
+
+static btf_status create_hf(btfi_cmf_fitting *f) {
+  const btfi_cmf_geometry *g = f->geometry;
+  btfi_cmf_hf_geometry hf = {
+      .pairs = f->pairs, .maps = f->factors, .width = f->settings.edge, .height = f->settings.edge};
+  const uint64_t taps = (uint64_t)f->pairs * f->factors * 4;
+  uint32_t *texel = f->host->alloc(f->ctx, taps, sizeof *texel);
+  float *weight = f->host->alloc(f->ctx, taps, sizeof *weight);
+  btf_status status = texel != NULL && weight != NULL ? BTF_OK : BTF_E_NOMEM;
+  for (uint32_t i = 0; i < f->factors && status == BTF_OK; i++) {
+    const btfi_cmf_side *side = &g->stage[g->factor[i].stage].side[g->factor[i].side];
+    for (uint32_t p = 0; p < f->pairs; p++) {
+      const uint32_t at = side->at_kind == CMF_AT_LIGHT  ? p % f->lights
+                          : side->at_kind == CMF_AT_VIEW ? p / f->lights
+                                                         : p;
+      const size_t to = ((size_t)p * f->factors + i) * 4;
+      memcpy(texel + to, side->at[at].index, 4 * sizeof *texel);
+      memcpy(weight + to, side->at[at].weight, 4 * sizeof *weight);
+    }
+  }
+  hf.texel = texel;
+  hf.weight = weight;
+  if (status == BTF_OK)
+    status = btfi_cmf_hf_create(f->host, f->ctx, &hf, f->lambda, btfi_cmf_left(f), &f->hf);
+  f->host->free(f->ctx, texel);
+  f->host->free(f->ctx, weight);
+  if (status != BTF_OK) return status;
+  const uint64_t unknowns = btfi_cmf_hf_unknowns(f->hf);
+  f->used += 8 * unknowns * unknowns + btfi_cmf_hf_solve_bytes(f->host, f->ctx, f->hf, 64, f->channels) +
+             64 * (uint64_t)f->factors * f->map_values * sizeof(float);
+  const uint64_t abrdf = (uint64_t)f->pairs * f->channels * sizeof(float);
+  f->collect = btfi_cmf_left(f) / 4 / abrdf;
+  if (f->collect > f->level_first[1]) f->collect = f->level_first[1];
+  if (f->collect < 1) f->collect = 1;
+  f->collected = take(f, f->collect, abrdf);
+  return f->collected != NULL ? BTF_OK : BTF_E_NOMEM;
+}
+
+static btf_status make_geometry(btfi_cmf_fitting *f, const btf_dataset_desc *desc) {
+  const btf_host *host = f->host;
+  BTF_TRY(btfi_cmf_geometry_create(host, f->ctx, &f->settings, desc->lights, desc->views, f->budget / 2,
+                                   &f->geometry));
+  f->used += f->geometry->bytes;
+  f->factors = f->geometry->factors;
+  f->map_values = f->geometry->map_texels * f->channels;
+  f->scales = 1;
+  for (uint32_t i = 0; i < f->factors; i++) {
+    const btfi_cmf_factor *factor = &f->geometry->factor[i];
+    f->has_sign[i] = btfi_cmf_is_signed(f->settings.method, factor->term);
+    if (factor->term > 0) f->term_scale[i] = factor->side == 0 ? f->scales++ : f->scales - 1;
+  }
+  if (f->rotate) {
+    BTF_TRY(btfi_cmf_rotation_create(host, f->ctx, desc->lights, desc->views, &f->rotation));
+    f->used += (uint64_t)CMF_TURN * ((uint64_t)f->lights + f->views) * sizeof(btf_interp) + 16ull * f->pairs;
+  }
+  return BTF_OK;
+}
+
+static btf_status make_room(btfi_cmf_fitting *f) {
+  const uint64_t texels = f->level_first[f->levels];
+  const uint64_t abrdf = ((uint64_t)f->pairs * f->channels * sizeof(float) + 63) / 64 * 64;
+  const uint64_t maps = ((uint64_t)f->factors * f->map_values * sizeof(float) + 63) / 64 * 64;
+  f->threads = f->host->thread_count(f->ctx);
+  f->thread_bytes = f->geometry->scratch_bytes + maps + (f->rotate ? 2 * abrdf : 0);
+  f->scratch = take(f, f->threads, f->thread_bytes);
+  f->report = take(f, f->threads, sizeof *f->report);
+  f->scale = take(f, texels * f->scales * f->channels, sizeof *f->scale);
+  if (f->scratch == NULL || f->report == NULL || f->scale == NULL) return BTF_E_NOMEM;
+  memset(f->report, 0, f->threads * sizeof *f->report);
+  if (f->rotate) {
+    f->angle = take(f, texels, 1);
+    if (f->angle == NULL) return BTF_E_NOMEM;
+    memset(f->angle, 0, texels);
+  }
+  if (f->settings.method == CMF_HOMOMORPHIC) BTF_TRY(create_hf(f));
+  if (f->entries == 0) return BTF_OK;
+  /* Half of what is left holds factors; reading and clustering take turns with the other half. */
+  f->store_kind = f->storage == CMF_U8 ? CMF_U8 : CMF_F16;
+  f->record_bytes = (uint64_t)f->factors * f->map_values * btfi_cmf_value_bytes(f->store_kind);
+  f->capacity = btfi_cmf_left(f) / 2 / f->record_bytes;
+  if (f->capacity > texels) f->capacity = texels;
+  if (f->capacity < f->entries && f->capacity < f->level_first[1])
+    return f->host->fail(
+        f->ctx, BTF_E_LIMIT,
+        "cmf: codebooks of %u entries need the factors of as many texels: a working set of %llu MiB",
+        f->entries, (unsigned long long)((f->used + 2 * f->record_bytes * f->entries) >> 20) + 1);
+  f->store = take(f, f->capacity, f->record_bytes);
+  return f->store != NULL ? BTF_OK : BTF_E_NOMEM;
+}
+
+static void log_report(const btfi_cmf_fitting *f) {
+  btfi_cmf_report sum = {0};
+  for (uint32_t i = 0; i < f->threads; i++) {
+    const btfi_cmf_report *r = &f->report[i];
+    sum.squared_error += r->squared_error;
+    sum.squared_energy += r->squared_energy;
+    sum.absolute_error += r->absolute_error;
+    sum.relative_error += r->relative_error;
+    sum.samples += r->samples;
+    sum.positive += r->positive;
+    sum.masked += r->masked;
+    sum.divided += r->divided;
+  }
+  const double samples = fmax((double)sum.samples, 1.0);
+  f->host->log(
+      f->ctx, BTF_LOG_INFO,
+      "cmf: %u factors, before storage: rmse %.6g, mean absolute error %.6g, mean relative error %.4g; "
+      "%.3g of the cells have no valid pair, %.3g of the divisors were masked",
+      f->factors, sqrt(sum.squared_error / samples), sum.absolute_error / samples,
+      sum.relative_error / fmax((double)sum.positive, 1.0), f->geometry->invalid,
+      (double)sum.masked / fmax((double)sum.divided, 1.0));
+}
+
+static btf_status fit_all(btfi_cmf_fitting *f, const btf_options *options) {
+  btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+  BTF_TRY(f->host->dataset_describe(f->ds, &desc));
+  BTF_TRY(read_options(f, options));
+  BTF_TRY(open_data(f, &desc));
+  BTF_TRY(f->host->progress(f->job, 0.0, "preparing"));
+  BTF_TRY(make_geometry(f, &desc));
+  BTF_TRY(make_room(f));
+  if (btfi_cmf_left(f) == 0)
+    return f->host->fail(f->ctx, BTF_E_LIMIT,
+                         "cmf: the tables take a working set of %llu MiB, and reading more",
+                         (unsigned long long)(f->used >> 20) + 1);
+  BTF_TRY(btfi_cmf_write(f));
+  log_report(f);
+  return f->host->progress(f->job, 1.0, "storing");
+}
+
+btf_status btfi_cmf_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
+                        const btf_options *options, const btf_job *job, btf_chunk_writer *payload) {
+  btfi_cmf_fitting *f = host->alloc(ctx, 1, sizeof *f);
+  if (f == NULL) return BTF_E_NOMEM;
+  memset(f, 0, sizeof *f);
+  f->host = host;
+  f->ctx = ctx;
+  f->ds = ds;
+  f->job = job;
+  f->payload = payload;
+  f->budget = job->max_working_set;
+  const btf_status status = fit_all(f, options);
+  btfi_cmf_geometry_free(host, ctx, f->geometry);
+  btfi_cmf_hf_free(host, ctx, f->hf);
+  btfi_cmf_rotation_free(host, ctx, &f->rotation);
+  host->free(ctx, f->scratch);
+  host->free(ctx, f->report);
+  host->free(ctx, f->scale);
+  host->free(ctx, f->angle);
+  host->free(ctx, f->store);
+  host->free(ctx, f->collected);
+  host->free(ctx, f);
+  return status;
+}
