@@ -349,7 +349,7 @@ static int usage(void) {
 static int parse(int argc, char **argv, bench_options *o) {
   static const char *const kinds[] = {"smooth", "rare", "noisy"};
   const char *temporary = getenv("TMPDIR");
-  *o = (bench_options){.directions = "ubo81", .kind = MATERIAL_RARE, .size = 256, .runs = 3, .memory = 512};
+  *o = (bench_options){.directions = "ubo81", .kind = MATERIAL_RARE, .size = 256, .runs = 3, .memory = 560};
   for (int i = 1; i < argc; i++) {
     const char *value = i + 1 < argc ? argv[i + 1] : NULL;
     if (strcmp(argv[i], "--by-image") == 0) {
