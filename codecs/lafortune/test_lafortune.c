@@ -4,6 +4,7 @@
 #include "test_lobes.h"
 
 #include "kernel.h"
+#include "registry/registry.h"
 
 static test_memory memory;
 
@@ -489,12 +490,9 @@ static void test_nonnegative(void **unused) {
  * by 3 roundings, even where it is 0. Sums: 8 lanes of up to 32 float additions. */
 static void test_kernels(void **unused) {
   (void)unused;
-  const btfi_lafortune_kernels *fast = btfi_lafortune_kernels_of(BTF_ISA_AVX2),
+  btf_context *ctx = test_context(&memory);
+  const btfi_lafortune_kernels *fast = btfi_lafortune_kernels_of(btfi_host()->isa(ctx)),
                                *plain = &btfi_lafortune_scalar;
-#if defined(__x86_64__)
-  if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma") || !__builtin_cpu_supports("f16c"))
-    skip();
-#endif
   enum { N = LAF_CHUNK };
   static float terms[9][N], factor[N], base[2][N], column[2][11 * LAF_LD];
   const float *term[9];
@@ -547,6 +545,7 @@ static void test_kernels(void **unused) {
           for (uint32_t j = upper ? i : 0; j < columns; j++)
             assert_near(sums[1][i * columns + j], sums[0][i * columns + j], 36 * 6e-8 * N);
       }
+  test_context_done(ctx, &memory);
 }
 
 int main(void) {
