@@ -11,13 +11,9 @@ enum {
   lights_shown = 4,
   views_shown = 2,
   rows = lights_shown * views_shown,
-  cell_side = 256,   /* texels are enlarged to about this */
   most_texels = 512, /* shown of a large texture along one side */
-  gap = 6,
-  label_scale = 2,
-  line_height = FONT_HEIGHT * label_scale + 4,
-  header_height = 3 * line_height + gap,
-  label_width = 13 * FONT_WIDTH * label_scale
+  few_columns = 9,   /* with more, cells and letters have half the size */
+  gap = 6
 };
 
 static const float paper[3] = {0.83f, 0.83f, 0.83f}, ink[3] = {0.01f, 0.01f, 0.01f};
@@ -45,8 +41,23 @@ typedef struct sheet {
   int count;
   uint32_t width, height; /* texels of a cell */
   uint32_t light[lights_shown], view[views_shown];
+  uint32_t cell_side; /* texels are enlarged to about this */
+  uint32_t label_scale, line_height, header_height, label_width;
   image *cells; /* count x rows, linear, as lit: with the cosine of the light */
 } sheet;
+
+static int column_count(const sheet *s) {
+  return 2 * s->count - 1;
+}
+
+static void choose_sizes(sheet *s) {
+  const bool few = column_count(s) <= few_columns;
+  s->cell_side = few ? 256 : 128;
+  s->label_scale = few ? 2 : 1;
+  s->line_height = FONT_HEIGHT * s->label_scale + 4;
+  s->header_height = 3 * s->line_height + gap;
+  s->label_width = 13 * FONT_WIDTH * s->label_scale;
+}
 
 static image *cell(const sheet *s, int column, int row) {
   return &s->cells[column * rows + row];
@@ -128,9 +139,9 @@ static int draw_cell(const sheet *s, image *page, int column, int row, float exp
   const bool difference = column >= s->count;
   const image *shown = cell(s, difference ? column - s->count + 1 : column, row);
   const image *reference = cell(s, 0, row);
-  const uint32_t x = (uint32_t)label_width + (uint32_t)column * (s->width * times + gap);
-  const uint32_t y = (uint32_t)header_height + (uint32_t)row * (s->height * times + gap) +
-                     (uint32_t)(row / lights_shown) * 2 * gap;
+  const uint32_t x = s->label_width + (uint32_t)column * (s->width * times + gap);
+  const uint32_t y =
+      s->header_height + (uint32_t)row * (s->height * times + gap) + (uint32_t)(row / lights_shown) * 2 * gap;
   image toned;
   int failed = image_create(&toned, s->width, s->height);
   if (failed) return failed;
@@ -148,8 +159,8 @@ static int draw_cell(const sheet *s, image *page, int column, int row, float exp
 static void draw_header(const sheet *s, image *page, int column, float gain, uint32_t times) {
   const bool difference = column >= s->count;
   const sheet_column *k = &s->columns[difference ? column - s->count + 1 : column];
-  const int64_t x = label_width + (int64_t)column * (s->width * times + gap);
-  const int most = (int)(s->width * times / (FONT_WIDTH * label_scale));
+  const int64_t x = s->label_width + (int64_t)column * (s->width * times + gap);
+  const int most = (int)(s->width * times / (FONT_WIDTH * s->label_scale));
   const char *base = strrchr(k->name, '/') != NULL ? strrchr(k->name, '/') + 1 : k->name;
   char lines[3][64];
   snprintf(lines[0], sizeof lines[0], "%s", base[0] != '\0' ? base : k->name);
@@ -163,32 +174,32 @@ static void draw_header(const sheet *s, image *page, int column, float gain, uin
     snprintf(lines[2], sizeof lines[2], "reference");
   for (int i = 0; i < 3; i++) {
     if (most > 0 && most < (int)sizeof lines[i]) lines[i][most] = '\0';
-    font_draw(page, x, gap + i * line_height, label_scale, ink, lines[i]);
+    font_draw(page, x, gap + i * (int64_t)s->line_height, s->label_scale, ink, lines[i]);
   }
 }
 
 static void draw_row_label(const sheet *s, image *page, int row, uint32_t times) {
   const sample_source *reference = s->columns[0].source;
   const int64_t y =
-      header_height + (int64_t)row * (s->height * times + gap) + (int64_t)(row / lights_shown) * 2 * gap;
+      s->header_height + (int64_t)row * (s->height * times + gap) + (int64_t)(row / lights_shown) * 2 * gap;
   char text[32];
   double theta, phi;
   angles_of(reference->light_set, s->light[row % lights_shown], &theta, &phi);
-  font_draw(page, gap, y, label_scale, ink, "light");
+  font_draw(page, gap, y, s->label_scale, ink, "light");
   snprintf(text, sizeof text, "%3.0f, %3.0f", theta, phi);
-  font_draw(page, gap, y + line_height, label_scale, ink, text);
+  font_draw(page, gap, y + s->line_height, s->label_scale, ink, text);
   angles_of(reference->view_set, s->view[row / lights_shown], &theta, &phi);
-  font_draw(page, gap, y + 3 * line_height, label_scale, ink, "view");
+  font_draw(page, gap, y + 3 * s->line_height, s->label_scale, ink, "view");
   snprintf(text, sizeof text, "%3.0f, %3.0f", theta, phi);
-  font_draw(page, gap, y + 4 * line_height, label_scale, ink, text);
+  font_draw(page, gap, y + 4 * s->line_height, s->label_scale, ink, text);
 }
 
 static int draw(const sheet *s, const char *path) {
-  const uint32_t times = s->width >= cell_side ? 1 : (cell_side + s->width / 2) / s->width;
-  const int columns = 2 * s->count - 1;
-  const uint64_t width = label_width + (uint64_t)columns * (s->width * times + gap);
+  const uint32_t times = s->width >= s->cell_side ? 1 : (s->cell_side + s->width / 2) / s->width;
+  const int columns = column_count(s);
+  const uint64_t width = s->label_width + (uint64_t)columns * (s->width * times + gap);
   const uint64_t height =
-      header_height + (uint64_t)rows * (s->height * times + gap) + 2 * (views_shown - 1) * gap;
+      s->header_height + (uint64_t)rows * (s->height * times + gap) + 2 * (views_shown - 1) * gap;
   image page = {0};
   float exposure, gain;
   int failed = find_exposure(s, &exposure);
@@ -216,6 +227,7 @@ int sheet_write(const char *path, const sheet_column *columns, int count) {
   int failed = EXIT_DONE;
   s.columns = columns;
   s.count = count;
+  choose_sizes(&s);
   s.width = reference->width < most_texels ? reference->width : most_texels;
   s.height = reference->height < most_texels ? reference->height : most_texels;
   for (int i = 0; i < lights_shown; i++) s.light[i] = nearest_index(reference->light_set, light_angles[i]);

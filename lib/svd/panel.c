@@ -8,7 +8,8 @@
 #include <btf/btf_plugin.h>
 
 enum {
-  DEPTH = 512, /* terms summed in registers between two writes: a basis of this many rows stays in L2 */
+  DEPTH = 256, /* terms summed in registers between two writes: a tile of columns this deep stays in L1 */
+  ROWS = 64,   /* rows of the slab that meet all columns while they are in L2 */
   LINE = 16    /* floats in a cache line */
 };
 
@@ -19,7 +20,7 @@ typedef struct product_job {
   double *norms;
   uint32_t width;
   size_t grains_per_task;
-  btfi_tile_fn tile;
+  const btfi_panel_kernels *kernels;
 } product_job;
 
 /* Vectors of the next tile of columns. Four are taken as two and two: a single one would wait for the
@@ -28,88 +29,115 @@ static uint32_t tile_vectors(uint32_t left) {
   return left == 4 ? 2 : BTFI_MIN(left, 3u);
 }
 
-/* One stripe of eight rows of c += a * b, where b is packed and `b_rows` rows high, of which those from
- * b_first on are meant. */
-static void sweep_columns(const product_job *job, size_t depth, const float *a, size_t a_row, size_t a_step,
-                          size_t b_rows, size_t b_first, float *c) {
+/* A part of the slab: element t of row i at data[i * row + t * step]. */
+typedef struct part {
+  const float *data;
+  size_t row, step, rows, depth;
+} part;
+
+/* The lines of the part that comes next, for each tile to fetch some to L2 while it is at work: slabs come
+ * from L3 or memory, in runs too short for the processor to see them coming. A tile takes one line of each of
+ * some runs. */
+typedef struct fetch_list {
+  const float *data;
+  size_t run_step, runs, lines; /* lines of a run */
+  size_t share;                 /* runs for each tile */
+} fetch_list;
+
+static fetch_list fetch_list_of(const part *next, size_t depth) {
+  const bool columns = next->row == 1;
+  fetch_list list = {next->data, columns ? next->step : next->row, columns ? next->depth : next->rows, 0,
+                     (depth + BTFI_TILE_FETCH - 1) / BTFI_TILE_FETCH};
+  list.lines = ((columns ? next->rows : next->depth) + LINE - 1) / LINE;
+  return list;
+}
+
+/* Where tile number `tile` starts. Beyond the end, anything will do that is in L2 already. */
+static const float *fetch_start(const fetch_list *list, size_t tile, const float *otherwise, size_t *step) {
+  const size_t run = list->lines == 0 ? 0 : tile / list->lines * list->share;
+  *step = 0;
+  if (run >= list->runs) return otherwise;
+  *step = list->run_step;
+  return list->data + run * list->run_step + tile % list->lines * LINE;
+}
+
+/* c (rows x width) += a * b, where b is packed and b_rows rows high, of which those from b_first on are
+ * meant. */
+static void multiply_part(const product_job *job, const part *a, const part *next, size_t b_rows,
+                          size_t b_first, float *c, double *norms) {
+  /* Stripes a multiple of 4 KiB apart would meet in one set of the cache. */
+  enum { STRIPE_PAD = LINE };
+  _Alignas(64) float stripes[ROWS * (DEPTH + STRIPE_PAD / 4)];
+  const btfi_panel_kernels *kernels = job->kernels;
+  const size_t rows = kernels->rows, vector = kernels->vector;
+  const float *from = a->data;
+  size_t row = a->row, step = a->step, stripe = rows * a->row;
+  if (a->row == 1) {
+    from = stripes;
+    step = rows;
+    stripe = rows * DEPTH + STRIPE_PAD;
+    kernels->stripe(a->rows, a->depth, a->data, a->step, stripes, stripe, norms);
+  } else if (norms != NULL) {
+    for (size_t i = 0; i < a->rows; i++) norms[i] += kernels->square(a->data + i * a->row, a->depth);
+  }
+  const fetch_list list = fetch_list_of(next, a->depth);
+  size_t tile = 0, fetch_step;
   uint32_t vectors;
-  for (uint32_t column = 0; column < job->width; column += vectors * BTFI_PANEL_GRAIN) {
-    vectors = tile_vectors((job->width - column) / BTFI_PANEL_GRAIN);
-    const size_t tile_width = (size_t)vectors * BTFI_PANEL_GRAIN;
-    job->tile(vectors, depth, a, a_row, a_step, job->packed + b_rows * column + b_first * tile_width,
-              tile_width, c + column, job->width);
-  }
-}
-
-/* Squares of up to DEPTH elements are summed in float, the runs in double. */
-static void add_norms(const btfi_slab *slab, size_t first, size_t last, size_t element, size_t count,
-                      double *norms) {
-  if (slab->element_step == 1) {
-    for (size_t i = first; i < last; i++) {
-      const float *x = slab->data + i * slab->item_step + element;
-      float lane[16] = {0};
-      size_t j = 0;
-      for (; j + 16 <= count; j += 16)
-        for (size_t l = 0; l < 16; l++) lane[l] += x[j + l] * x[j + l];
-      double sum = 0;
-      for (; j < count; j++) sum += (double)x[j] * x[j];
-      for (size_t l = 0; l < 16; l++) sum += lane[l];
-      norms[i] += sum;
+  for (uint32_t column = 0; column < job->width; column += vectors * (uint32_t)vector) {
+    vectors = tile_vectors((job->width - column) / (uint32_t)vector);
+    const size_t columns = vectors * vector;
+    const float *b = job->packed + b_rows * column + b_first * columns;
+    for (size_t i = 0; i < a->rows; i += rows) {
+      float *sums = c + i * job->width + column;
+      if (i + rows < a->rows) {
+        for (size_t k = rows; k < 2 * rows; k++) {
+          for (size_t j = 0; j < columns; j += LINE) __builtin_prefetch(sums + k * job->width + j, 1);
+        }
+      }
+      const float *fetch = fetch_start(&list, tile++, from, &fetch_step);
+      kernels->tile(vectors, a->depth, from + i / rows * stripe, row, step, b, sums, job->width, fetch,
+                    fetch_step);
     }
-    return;
   }
-  enum { RUN = 128 };
-  for (size_t i = first; i < last; i += RUN) {
-    const size_t run = BTFI_MIN((size_t)RUN, last - i);
-    float lane[RUN] = {0};
-    for (size_t j = 0; j < count; j++) {
-      const float *x = slab->data + i + (element + j) * slab->element_step;
-      for (size_t l = 0; l < run; l++) lane[l] += x[l] * x[l];
+}
+
+/* c (rows x width) += a (rows x depth) * b (depth x width). */
+static void multiply(const product_job *job, const part *a, float *c, double *norms) {
+  part now = *a, next;
+  for (size_t t = 0, i = 0; t < a->depth;) {
+    now.data = a->data + i * a->row + t * a->step;
+    now.rows = BTFI_MIN((size_t)ROWS, a->rows - i);
+    now.depth = BTFI_MIN((size_t)DEPTH, a->depth - t);
+    const size_t here = i, first = t;
+    i += now.rows;
+    if (i == a->rows) {
+      i = 0;
+      t += now.depth;
     }
-    for (size_t l = 0; l < run; l++) norms[i + l] += lane[l];
+    next = now;
+    next.data = a->data + i * a->row + t * a->step;
+    next.rows = t < a->depth ? BTFI_MIN((size_t)ROWS, a->rows - i) : 0;
+    next.depth = t < a->depth ? BTFI_MIN((size_t)DEPTH, a->depth - t) : 0;
+    multiply_part(job, &now, &next, a->depth, first, c + here * job->width,
+                  norms == NULL ? NULL : norms + here);
   }
 }
 
-/* Fetches the next lines to L2 while the present ones are at work: slabs come from L3, in runs too short for
- * the processor to see them coming. */
-static void fetch_lines(const float *from, size_t runs, size_t run_step, size_t run_length) {
-  for (size_t run = 0; run < runs; run++) {
-    for (size_t k = 0; k < run_length; k += LINE) __builtin_prefetch(from + run * run_step + k, 0, 2);
-  }
-}
-
-/* stripes[s][t * 8 + row] = a[(8 s + row) + t * step] for one or two stripes of eight rows that lie side by
- * side. */
-static void pack_stripes(size_t stripe_count, size_t depth, const float *a, size_t step, const float *next,
-                         float (*stripes)[DEPTH * BTFI_SLAB_GRAIN]) {
-  for (size_t t = 0; t < depth; t++) {
-    if (next != NULL) __builtin_prefetch(next + t * step, 0, 2);
-    for (size_t s = 0; s < stripe_count; s++)
-      memcpy(stripes[s] + t * BTFI_SLAB_GRAIN, a + t * step + s * BTFI_SLAB_GRAIN,
-             BTFI_SLAB_GRAIN * sizeof(float));
-  }
-}
-
-/* c (rows x width) += a (rows x depth) * b (depth x width) for `rows` rows of a; `after` is where the next
- * call will begin. */
-static void multiply_rows(const product_job *job, size_t rows, size_t depth, const float *a, size_t a_row,
-                          size_t a_step, const float *after, size_t b_rows, size_t b_first, float *c) {
-  if (a_row != 1) {
-    for (size_t row = 0; row < rows; row += BTFI_SLAB_GRAIN) {
-      const float *next = row + BTFI_SLAB_GRAIN < rows ? a + (row + BTFI_SLAB_GRAIN) * a_row : after;
-      if (next != NULL) fetch_lines(next, BTFI_SLAB_GRAIN, a_row, depth);
-      sweep_columns(job, depth, a + row * a_row, a_row, a_step, b_rows, b_first, c + row * job->width);
+/* Short runs of squares are summed in float, the runs in double. */
+static void add_norms(const btfi_slab *slab, double *norms) {
+  enum { RUN = 16 };
+  memset(norms, 0, slab->items * sizeof(double));
+  for (size_t element = 0; element < slab->length; element += RUN) {
+    const size_t last = BTFI_MIN(slab->length, element + RUN);
+    for (size_t i = 0; i < slab->items; i += BTFI_SLAB_GRAIN) {
+      float lane[BTFI_SLAB_GRAIN] = {0};
+      for (size_t j = element; j < last; j++) {
+        const float *x = slab->data + i * slab->item_step + j * slab->element_step;
+        for (size_t l = 0; l < BTFI_SLAB_GRAIN; l++)
+          lane[l] += x[l * slab->item_step] * x[l * slab->item_step];
+      }
+      for (size_t l = 0; l < BTFI_SLAB_GRAIN; l++) norms[i + l] += lane[l];
     }
-    return;
-  }
-  float stripes[2][DEPTH * BTFI_SLAB_GRAIN];
-  for (size_t row = 0; row < rows; row += 2 * BTFI_SLAB_GRAIN) {
-    const size_t count = row + BTFI_SLAB_GRAIN < rows ? 2 : 1;
-    const float *next = row + 2 * BTFI_SLAB_GRAIN < rows ? a + row + 2 * BTFI_SLAB_GRAIN : after;
-    pack_stripes(count, depth, a + row, a_step, next, stripes);
-    for (size_t s = 0; s < count; s++)
-      sweep_columns(job, depth, stripes[s], 1, BTFI_SLAB_GRAIN, b_rows, b_first,
-                    c + (row + s * BTFI_SLAB_GRAIN) * job->width);
   }
 }
 
@@ -119,19 +147,11 @@ static void project_task(void *user, uint32_t index, uint32_t thread) {
   (void)thread;
   const size_t first = (size_t)index * job->grains_per_task * BTFI_SLAB_GRAIN;
   const size_t last = BTFI_MIN(slab->items, first + job->grains_per_task * BTFI_SLAB_GRAIN);
-  if (job->tile != NULL)
-    memset(job->projection + first * job->width, 0, (last - first) * job->width * sizeof(float));
+  memset(job->projection + first * job->width, 0, (last - first) * job->width * sizeof(float));
   if (job->norms != NULL) memset(job->norms + first, 0, (last - first) * sizeof(double));
-  for (size_t element = 0; element < slab->length; element += DEPTH) {
-    const size_t depth = BTFI_MIN((size_t)DEPTH, slab->length - element);
-    if (job->tile != NULL) {
-      const float *a = slab->data + first * slab->item_step + element * slab->element_step;
-      const float *after = element + 2 * DEPTH <= slab->length ? a + DEPTH * slab->element_step : NULL;
-      multiply_rows(job, last - first, depth, a, slab->item_step, slab->element_step, after, slab->length,
-                    element, job->projection + first * job->width);
-    }
-    if (job->norms != NULL) add_norms(slab, first, last, element, depth, job->norms);
-  }
+  const part a = {slab->data + first * slab->item_step, slab->item_step, slab->element_step, last - first,
+                  slab->length};
+  multiply(job, &a, job->projection + first * job->width, job->norms == NULL ? NULL : job->norms + first);
 }
 
 static void accumulate_task(void *user, uint32_t index, uint32_t thread) {
@@ -140,11 +160,9 @@ static void accumulate_task(void *user, uint32_t index, uint32_t thread) {
   (void)thread;
   const size_t first = (size_t)index * job->grains_per_task * BTFI_SLAB_GRAIN;
   const size_t last = BTFI_MIN(slab->length, first + job->grains_per_task * BTFI_SLAB_GRAIN);
-  for (size_t i = 0; i < slab->items; i += DEPTH) {
-    const size_t depth = BTFI_MIN((size_t)DEPTH, slab->items - i);
-    multiply_rows(job, last - first, depth, slab->data + i * slab->item_step + first * slab->element_step,
-                  slab->element_step, slab->item_step, NULL, slab->items, i, job->image + first * job->width);
-  }
+  const part a = {slab->data + first * slab->element_step, slab->element_step, slab->item_step, last - first,
+                  slab->items};
+  multiply(job, &a, job->image + first * job->width, NULL);
 }
 
 static btf_status share_out(btf_context *ctx, product_job *job, size_t extent, btf_task_fn task) {
@@ -163,14 +181,15 @@ static btf_status share_out(btf_context *ctx, product_job *job, size_t extent, b
 }
 
 void btfi_panel_pack(btf_context *ctx, const float *panel, size_t rows, uint32_t width, float *packed) {
-  if (btfi_panel_tile(btfi_isa(ctx)) == NULL) {
+  const btfi_panel_kernels *kernels = btfi_panel_kernels_for(btfi_isa(ctx));
+  if (kernels == NULL) {
     memcpy(packed, panel, rows * width * sizeof(float));
     return;
   }
   uint32_t vectors;
-  for (uint32_t column = 0; column < width; column += vectors * BTFI_PANEL_GRAIN) {
-    vectors = tile_vectors((width - column) / BTFI_PANEL_GRAIN);
-    const size_t tile_width = (size_t)vectors * BTFI_PANEL_GRAIN;
+  for (uint32_t column = 0; column < width; column += vectors * kernels->vector) {
+    vectors = tile_vectors((width - column) / kernels->vector);
+    const size_t tile_width = (size_t)vectors * kernels->vector;
     float *tile = packed + rows * column;
     for (size_t row = 0; row < rows; row++)
       memcpy(tile + row * tile_width, panel + row * width + column, tile_width * sizeof(float));
@@ -181,25 +200,24 @@ btf_status btfi_slab_project(btf_context *ctx, const btfi_slab *slab, const floa
                              uint32_t width, float *projection, double *norms) {
   product_job job = {
       .slab = slab, .packed = packed_basis, .projection = projection, .norms = norms, .width = width};
-  job.tile = btfi_panel_tile(btfi_isa(ctx));
-  if (job.tile == NULL) {
-    const int items = (int)slab->items, length = (int)slab->length, columns = (int)width;
-    if (slab->element_step == 1)
-      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, items, columns, length, 1, slab->data,
-                  (int)slab->item_step, packed_basis, columns, 0, projection, columns);
-    else
-      cblas_sgemm(CblasRowMajor, CblasTrans, CblasNoTrans, items, columns, length, 1, slab->data,
-                  (int)slab->element_step, packed_basis, columns, 0, projection, columns);
-    if (norms == NULL) return BTF_OK;
-  }
-  return share_out(ctx, &job, slab->items, project_task);
+  job.kernels = btfi_panel_kernels_for(btfi_isa(ctx));
+  if (job.kernels != NULL) return share_out(ctx, &job, slab->items, project_task);
+  const int items = (int)slab->items, length = (int)slab->length, columns = (int)width;
+  if (slab->element_step == 1)
+    cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, items, columns, length, 1, slab->data,
+                (int)slab->item_step, packed_basis, columns, 0, projection, columns);
+  else
+    cblas_sgemm(CblasRowMajor, CblasTrans, CblasNoTrans, items, columns, length, 1, slab->data,
+                (int)slab->element_step, packed_basis, columns, 0, projection, columns);
+  if (norms != NULL) add_norms(slab, norms);
+  return BTF_OK;
 }
 
 btf_status btfi_slab_accumulate(btf_context *ctx, const btfi_slab *slab, const float *packed_projection,
                                 uint32_t width, float *image) {
   product_job job = {.slab = slab, .packed = packed_projection, .image = image, .width = width};
-  job.tile = btfi_panel_tile(btfi_isa(ctx));
-  if (job.tile != NULL) return share_out(ctx, &job, slab->length, accumulate_task);
+  job.kernels = btfi_panel_kernels_for(btfi_isa(ctx));
+  if (job.kernels != NULL) return share_out(ctx, &job, slab->length, accumulate_task);
   const int items = (int)slab->items, length = (int)slab->length, columns = (int)width;
   if (slab->element_step == 1)
     cblas_sgemm(CblasRowMajor, CblasTrans, CblasNoTrans, length, columns, items, 1, slab->data,

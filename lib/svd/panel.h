@@ -7,7 +7,8 @@
 
 enum {
   BTFI_PANEL_GRAIN = 16, /* columns of a panel come in multiples of this */
-  BTFI_SLAB_GRAIN = 8    /* items and elements of a slab come in multiples of this, the surplus being zero */
+  BTFI_TILE_FETCH = 8,
+  BTFI_SLAB_GRAIN = 8 /* items and elements of a slab come in multiples of this, the surplus being zero */
 };
 
 /* Some items of the matrix: element j of item i at data[i * item_step + j * element_step]. */
@@ -29,10 +30,24 @@ btf_status btfi_slab_project(btf_context *ctx, const btfi_slab *slab, const floa
 btf_status btfi_slab_accumulate(btf_context *ctx, const btfi_slab *slab, const float *packed_projection,
                                 uint32_t width, float *image);
 
-/* c (8 x 16 vectors) += a (8 x depth) * b (depth x 16 vectors), `vectors` being 1, 2 or 3. */
-typedef void (*btfi_tile_fn)(uint32_t vectors, size_t depth, const float *a, size_t a_row, size_t a_step,
-                             const float *b, size_t b_row, float *c, size_t c_row);
-/* NULL where the build or the processor has no such kernel. */
-btfi_tile_fn btfi_panel_tile(uint32_t isa);
+/* The kernels of an instruction set. */
+typedef struct btfi_panel_kernels {
+  uint32_t rows;   /* of a tile of sums that fits in the registers; divides BTFI_SLAB_GRAIN */
+  uint32_t vector; /* floats */
+  /* c (rows x vectors) += a (rows x depth) * b (depth x vectors, dense), `vectors` being 1, 2 or 3. Every
+   * BTFI_TILE_FETCH terms the line at `fetch`, which moves on by fetch_step, is fetched to L2. */
+  void (*tile)(uint32_t vectors, size_t depth, const float *a, size_t a_row, size_t a_step, const float *b,
+               float *c, size_t c_row, const float *fetch, size_t fetch_step);
+  /* Copies a (count x depth, a row a column), `count` a multiple of BTFI_SLAB_GRAIN, to stripes of `rows`
+   * rows, stripe_floats apart and dense: stripe[t * rows + row] = a[t * a_step + row]. With `squares`, adds
+   * each row's sum of squares. */
+  void (*stripe)(size_t count, size_t depth, const float *a, size_t a_step, float *stripes,
+                 size_t stripe_floats, double *squares);
+  /* Sum of the squares of `count` floats. */
+  double (*square)(const float *a, size_t count);
+} btfi_panel_kernels;
+
+/* NULL where the build or the processor has none. */
+const btfi_panel_kernels *btfi_panel_kernels_for(uint32_t isa);
 
 #endif

@@ -9,7 +9,7 @@
 static const uint64_t default_working_set = (uint64_t)1 << 30;
 static const double default_tolerance = 0.0005;
 /* Below this part of the energy, a residual is not taken as a difference of float sums. */
-static const double smallest_difference = 2e-6;
+static const double smallest_difference = 5e-6;
 
 /* Float panels give a singular value to about this part of the largest: smaller changes mean nothing. */
 static const double noise = 2e-7;
@@ -17,7 +17,7 @@ static const double float_rounding = 6e-8;
 
 enum {
   BLOCK_BYTES =
-      20 << 20, /* met twice, so it should still be in L3 the second time; wider ones read longer runs */
+      10 << 20, /* met twice, so it should still be in L3 the second time; wider ones read longer runs */
   SMALLEST_BLOCK = 64,
   LARGEST_BLOCK = 8192,
   RUN = 32,
@@ -181,20 +181,31 @@ static btf_status begin_state(svd_state *s) {
 
 /* ---- passes ---- */
 
-/* What further passes would gain, from what the last half step gained. The part of a right singular vector
- * that leaks to one of squared value mu loses the factor mu / ritz[i] with each half step; mu is at most that
- * of the last column that is no stray's. Half of the leaks are counted there, the others go to far smaller
- * values. */
-static double remaining_gain(const svd_state *s) {
-  const uint32_t rank = BTFI_MIN(s->found, s->plan.rank);
+/* What further passes would gain, from what the half step from P to C gained. The part of a right singular
+ * vector that leaks to one of squared value mu loses the factor mu / ritz[i] with each half step, and what it
+ * loses is gained: mu is at most that of the last column that is no stray's.
+ *
+ * That Ritz value is too small, though, until the last columns have converged. After a sample, P errs towards
+ * all directions alike, most of them of far smaller mu: what remains is a tenth of the gain and more, the
+ * more the larger the gain is beside the rest and the fewer items the sample has for each column. Later only
+ * slow leaks are left: what counts is the factor between this gain and that of the pass before (*gained, 0
+ * without), and a half at least. */
+static double remaining_gain(const svd_state *s, bool sampled, double rest, double *gained) {
+  const svd_plan *plan = &s->plan;
+  const uint32_t rank = BTFI_MIN(s->found, plan->rank);
   const uint32_t regular = s->found > s->partial_count ? s->found - s->partial_count : 0;
-  double sum = 0;
+  double all = 0, sum = 0;
+  for (uint32_t i = 0; i < rank; i++) all += fmax(0, s->ritz[i] - s->ritz_before[i]);
+  const double slowest = sampled ? 0 : *gained > 0 ? fmax(0.5, sqrt(all / *gained)) : 0.5;
   for (uint32_t i = 0; i < rank; i++) {
-    const double gain = s->ritz[i] - s->ritz_before[i];
-    const double ratio = fmin(0.98, s->ritz[BTFI_MAX(rank, regular) - 1] / s->ritz[i]);
-    if (gain > 0) sum += 0.5 * gain * ratio / (1 - ratio);
+    const double rate = fmax(slowest, s->ritz[BTFI_MAX(rank, regular) - 1] / s->ritz[i]);
+    sum += fmax(0, s->ritz[i] - s->ritz_before[i]) / (1 / fmin(rate, 0.98) - 1);
   }
-  return sum;
+  *gained = all;
+  if (!sampled) return 1.25 * sum;
+  const double share = rest > 0 ? all / rest : 0;
+  const double items = fmax(1, (double)plan->sample_blocks * (double)plan->block_items);
+  return fmax(0.75 * sum, all * (0.12 + 3 * share * share + 0.5 * plan->width / items));
 }
 
 static btf_status converge(svd_state *s) {
@@ -214,8 +225,9 @@ static btf_status converge(svd_state *s) {
   const double target = s->desc->target_residual;
   if (target > 0 && s->sample_rest > 1.05 * target && s->plan.rank < s->largest_rank) return BTF_OK;
 
-  double first = 0.2, estimate = 0, missed = 0, before = 0, after = 0;
-  bool refined = true;
+  double first = 0.2, estimate = 0, missed = 0, before = 0, after = 0, gained = 0;
+  /* A sample of the whole matrix has left slow leaks only. */
+  bool refined = true, sampled = !s->plan.held || s->plan.sample_blocks < s->plan.block_count;
   for (int pass = 0; pass < SVD_MAX_PASSES; pass++) {
     const double last = first + 0.6 * (0.98 - first), rest_before = fmax(0, s->energy - after);
     double *previous = s->previous;
@@ -229,6 +241,8 @@ static btf_status converge(svd_state *s) {
       BTFI_TRY(btfi_svd_refine(s, first, last));
     } else {
       BTFI_TRY(btfi_svd_pass(s, first, last, &missed));
+      /* Each direction that strays have in common would put one of the present ones out. */
+      if (s->found >= rank) missed = fmax(0, missed - s->ritz[rank - 1]);
       memcpy(previous, s->ritz_before, rank * sizeof(double));
     }
     first = last;
@@ -245,9 +259,11 @@ static btf_status converge(svd_state *s) {
       const double gain = fmax(0, captured - after), gain_before = captured - before;
       estimate = gain_before > gain ? gain * gain / gain_before : gain;
       estimate = 2 * estimate + missed;
+      gained = 0;
     } else {
-      estimate = remaining_gain(s) + missed;
+      estimate = remaining_gain(s, sampled, rest, &gained) + missed;
       before = captured_before;
+      sampled = false;
     }
     after = captured;
     btfi_log(s->ctx, BTF_LOG_INFO,
@@ -260,8 +276,8 @@ static btf_status converge(svd_state *s) {
      * magnified in what they are separated into. */
     const double blur =
         s->found > 0 ? s->plan.width * float_rounding * float_rounding * s->spread * s->ritz[0] : 0;
-    const bool clear = s->plan.sample_blocks > 0 && blur <= 0.25 * allowed * rest;
-    if ((pass > 0 || clear) && (estimate <= 0.75 * allowed * rest || !grows) && (clear || !grows))
+    const bool clear = (s->plan.sample_blocks > 0 || pass > 1) && blur <= 0.25 * allowed * rest;
+    if ((pass > 0 || clear) && (estimate <= 0.9 * allowed * rest || !grows) && (clear || !grows))
       return BTF_OK;
   }
   btfi_log(s->ctx, BTF_LOG_WARNING, "svd: %d readings did not reach the tolerance %g", SVD_MAX_PASSES,
@@ -301,6 +317,7 @@ static btf_status make_result(svd_state *s, btf_svd_result *out) {
   const uint32_t width = s->plan.width;
   double *residual = btfi_alloc(s->ctx, (uint64_t)width + 1, sizeof(double));
   if (residual == NULL) return btfi_alloc_status();
+  btfi_svd_apply(s, s->projection, (size_t)s->desc->items, s->left, s->found);
   btf_status status = residuals(s, residual);
   uint32_t rank = BTFI_MIN(s->plan.rank, s->found);
   if (status == BTF_OK && s->desc->target_residual > 0) {
@@ -316,7 +333,6 @@ static btf_status make_result(svd_state *s, btf_svd_result *out) {
   btfi_free(s->ctx, residual);
   BTFI_TRY(status);
   /* A target of the whole energy or more is met by no component at all; the rank may be 0. */
-  btfi_svd_apply(s, s->projection, (size_t)s->desc->items, s->left, rank);
   BTFI_TRY(btfi_svd_straighten(s, s->projection, (size_t)s->desc->items, rank));
   fix_signs(s, rank);
   out->sigma = btfi_alloc(s->ctx, rank, sizeof(double));
@@ -357,6 +373,31 @@ static btf_status decompose(svd_state *s, btf_svd_result *out) {
   }
   out->passes = s->passes;
   return btfi_progress(s->job, s->to, "svd");
+}
+
+/* Squares of values below this, on average, would come near the lower end of float's range. */
+static const double smallest_mean_square = 1e-30;
+
+/* The decomposition of values whose squares float cannot hold, by a power of two, which rounds nothing. Only
+ * such a matrix is read once more for it. */
+static btf_status decompose_scaled(svd_state *s, btf_svd_desc *desc, btf_svd_result *out) {
+  const btf_status status = decompose(s, out);
+  const double values = (double)desc->items * (double)desc->length;
+  const bool small = status == BTF_OK && out->energy < smallest_mean_square * values;
+  float largest;
+  if (status != BTF_E_NUMERIC && !small) return status;
+  BTFI_TRY(btfi_svd_find_largest(s, &largest));
+  if (largest == 0) return status;
+  frexpf(largest, &s->exponent);
+  btfi_svd_free(s->ctx, out);
+  end_state(s);
+  s->from = s->to; /* progress never goes back */
+  desc->target_residual = ldexp(desc->target_residual, -2 * s->exponent);
+  BTFI_TRY(decompose(s, out));
+  for (uint32_t k = 0; k < out->rank; k++) out->sigma[k] = ldexp(out->sigma[k], s->exponent);
+  out->energy = ldexp(out->energy, 2 * s->exponent);
+  out->residual = ldexp(out->residual, 2 * s->exponent);
+  return BTF_OK;
 }
 
 /* ---- entry ---- */
@@ -406,7 +447,7 @@ btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *user, const btf_job *j
 
   svd_state s = {.ctx = ctx, .desc = &desc, .job = job, .from = from, .to = to};
   s.largest_rank = (uint32_t)BTFI_MIN((uint64_t)desc.rank, BTFI_MIN(desc.items, desc.length));
-  btf_status status = decompose(&s, &result);
+  btf_status status = decompose_scaled(&s, &desc, &result);
   end_state(&s);
   if (status == BTF_OK)
     status = btfi_copy_out(ctx, "btf_svd_result", out, BTFI_SIZE_TO(btf_svd_result, residual), &result,

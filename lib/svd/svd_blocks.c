@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: MIT */
 /* svd_blocks.c: blocks of the matrix, read once or again and again, and the sample. */
+#include <math.h>
 #include <string.h>
 
 #include "svd/svd_state.h"
@@ -30,12 +31,43 @@ static void clear_behind(const svd_state *s, float *data, uint64_t items) {
   }
 }
 
+/* Multiplies items just read by 2^-exponent, in two factors that are floats themselves. */
+static void scale_items(const svd_state *s, float *data, uint64_t items) {
+  if (s->exponent == 0) return;
+  const float first = ldexpf(1, -s->exponent / 2), second = ldexpf(1, -s->exponent - -s->exponent / 2);
+  const bool rows = s->desc->layout == BTF_LAYOUT_ITEM_ROWS;
+  const uint64_t lines = rows ? items : s->desc->length, run = rows ? s->desc->length : items;
+  for (uint64_t i = 0; i < lines; i++) {
+    float *line = data + i * s->plan.block_ld;
+    for (uint64_t j = 0; j < run; j++) line[j] = line[j] * first * second;
+  }
+}
+
+btf_status btfi_svd_find_largest(svd_state *s, float *largest) {
+  *largest = 0;
+  for (uint64_t b = 0; b < s->plan.block_count; b++) {
+    btfi_slab slab;
+    BTFI_TRY(btfi_svd_fetch(s, b, &slab));
+    for (size_t i = 0; i < slab.items; i++) {
+      for (size_t j = 0; j < slab.length; j++) {
+        const float value = slab.data[i * slab.item_step + j * slab.element_step];
+        if (!isfinite(value))
+          return btfi_fail(s->ctx, BTF_E_NUMERIC, "svd: the matrix has values that are not finite");
+        *largest = fmaxf(*largest, fabsf(value));
+      }
+    }
+  }
+  s->passes += s->plan.held ? 0 : 1;
+  return BTF_OK;
+}
+
 btf_status btfi_svd_fetch(svd_state *s, uint64_t block, btfi_slab *slab) {
   const uint64_t items = btfi_svd_block_size(s, block);
   float *data = s->plan.held ? s->blocks + block * s->plan.block_floats : s->window;
   *slab = btfi_svd_slab(s, data, items);
   if (s->plan.held && s->loaded) return BTF_OK;
   BTFI_TRY(s->desc->read(s->desc->user, block * s->plan.block_items, items, data, s->plan.block_ld));
+  scale_items(s, data, items);
   clear_behind(s, data, items);
   return BTF_OK;
 }
@@ -52,6 +84,7 @@ btf_status btfi_svd_read_sample(svd_state *s) {
     const size_t offset = (size_t)(r % runs_in_block * run);
     float *dst = data + (s->desc->layout == BTF_LAYOUT_ITEM_ROWS ? offset * plan->block_ld : offset);
     BTFI_TRY(s->desc->read(s->desc->user, place * run, run, dst, plan->block_ld));
+    scale_items(s, dst, run);
     if (r % runs_in_block + 1 == runs_in_block) {
       clear_behind(s, data, plan->block_items);
       BTFI_TRY(btfi_svd_report(s, 0.1 * (double)(r + 1) / (double)runs));

@@ -170,24 +170,27 @@ btf_status btfi_svd_refine(svd_state *s, double first, double last) {
 btf_status btfi_svd_explicit_rest(svd_state *s, double first, double last, double *rest) {
   const svd_plan *plan = &s->plan;
   const int width = (int)plan->width, length = (int)plan->length_padded;
+  float *data = s->window, *scaled = s->packed_projection;
   *rest = 0;
-  btfi_panel_pack(s->ctx, s->basis, plan->length_padded, plan->width, s->packed_basis);
   for (uint64_t b = 0; b < plan->block_count; b++) {
     const uint64_t count = btfi_svd_block_size(s, b);
+    const float *left = s->projection + b * plan->block_items * plan->width;
     btfi_slab slab;
     BTFI_TRY(btfi_svd_report(s, first + (last - first) * (double)b / (double)plan->block_count));
     BTFI_TRY(btfi_svd_fetch(s, b, &slab));
     /* The held matrix is needed no more after this, but in the same place for all blocks it stays simple. */
-    if (plan->held) memcpy(s->window, slab.data, plan->block_floats * sizeof(float));
-    float *data = s->window, *along = s->packed_projection;
+    if (plan->held) memcpy(data, slab.data, plan->block_floats * sizeof(float));
     const int items = (int)slab.items;
-    slab.data = data;
-    BTFI_TRY(btfi_slab_project(s->ctx, &slab, s->packed_basis, plan->width, along, NULL));
+    memset(scaled, 0, slab.items * plan->width * sizeof(float));
+    for (size_t i = 0; i < count; i++) {
+      for (size_t k = 0; k < s->found; k++)
+        scaled[i * plan->width + k] = (float)(left[i * plan->width + k] * sqrt(s->ritz[k]));
+    }
     if (slab.element_step == 1)
-      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, items, length, width, -1, along, width, s->basis,
+      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, items, length, width, -1, scaled, width, s->basis,
                   width, 1, data, (int)plan->block_ld);
     else
-      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, length, items, width, -1, s->basis, width, along,
+      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, length, items, width, -1, s->basis, width, scaled,
                   width, 1, data, (int)plan->block_ld);
     for (size_t i = 0; i < count; i++) {
       for (size_t j = 0; j < slab.length; j++) {

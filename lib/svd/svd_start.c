@@ -7,6 +7,8 @@
 #include "svd/svd_state.h"
 
 enum { SAMPLE_ROUNDS = 8, COARSE = 4 };
+/* Of the Gram matrix of C with columns of one length: beyond it, float's rounding is magnified too much. */
+static const double raw_spread = 1e4;
 
 static uint64_t sample_block(const svd_state *s, uint64_t b) {
   return s->plan.held ? b * s->plan.block_count / s->plan.sample_blocks : b;
@@ -45,8 +47,8 @@ bool btfi_svd_set_direction(svd_state *s, float *direction, uint32_t slot) {
   return true;
 }
 
-/* One step of subspace iteration within every step-th block of the sample, orthonormal after each half. */
-static btf_status sample_round(svd_state *s, uint64_t step, double *energy) {
+/* One step of subspace iteration within every step-th block of the sample. */
+static btf_status sample_round(svd_state *s, uint64_t step, bool raw, double *energy) {
   const svd_plan *plan = &s->plan;
   uint64_t rows = 0;
   uint32_t kept;
@@ -60,7 +62,9 @@ static btf_status sample_round(svd_state *s, uint64_t step, double *energy) {
     for (uint64_t i = 0; i < items; i++) *energy += s->norms[i];
     rows += items;
   }
-  BTFI_TRY(btfi_svd_orthonormalise(s, s->projection, (size_t)rows, &kept));
+  /* What a raw basis holds of weak directions would drown in strong ones. Near singular vectors the columns
+   * of C are nearly orthogonal as they are. */
+  if (raw) BTFI_TRY(btfi_svd_orthonormalise(s, s->projection, (size_t)rows, &kept));
   memset(s->image, 0, plan->length_padded * plan->width * sizeof(float));
   rows = 0;
   for (uint64_t b = 0; b < plan->sample_blocks; b += step) {
@@ -88,22 +92,23 @@ btf_status btfi_svd_start(svd_state *s) {
   for (uint64_t b = 0; b < plan->sample_blocks; b++) items += sample_block_size(s, b);
   /* Most of the way can be gone on a part of the sample. */
   uint64_t step = items / COARSE >= (uint64_t)COARSE * plan->width ? COARSE : 1;
+  bool raw = true;
   for (;;) {
     const double items_used = (double)items / (double)step;
-    double captured_before = 0, gain_before = 0;
     for (int round = 0; round < SAMPLE_ROUNDS; round++) {
-      BTFI_TRY(sample_round(s, step, &energy));
+      BTFI_TRY(sample_round(s, step, raw, &energy));
       captured = 0;
-      for (uint32_t i = 0; i < BTFI_MIN(s->found, plan->rank); i++) captured += s->ritz[i];
-      const double gain = captured - captured_before;
-      const double next_gain = round > 1 && gain < gain_before ? gain * gain / gain_before : gain;
-      /* The sample differs from the matrix by about rank / items of the rest: no use in being more exact in
-       * it. */
-      const double noise = 0.1 * fmax(0, energy - captured) * plan->rank / items_used;
-      if (round > 0 && next_gain <= fmax(noise, 1e-7 * energy)) break;
-      gain_before = gain;
-      captured_before = captured;
+      double gain = 0;
+      for (uint32_t i = 0; i < BTFI_MIN(s->found, plan->rank); i++) {
+        captured += s->ritz[i];
+        gain += fmax(0, s->ritz[i] - s->ritz_before[i]);
+      }
       BTFI_TRY(btfi_svd_report(s, 0.1 + 0.05 * (round + 1) / SAMPLE_ROUNDS + (step > 1 ? 0 : 0.05)));
+      /* The sample differs from the matrix by about rank / items of the rest or more: no use in being much
+       * more exact in it, and rounds to come gain far less than this one. */
+      const double noise = fmax(0, energy - captured) * plan->rank / items_used;
+      if (!raw && gain <= fmax(noise, 1e-7 * energy)) break;
+      raw = s->spread > raw_spread;
     }
     if (step == 1) break;
     step = 1;

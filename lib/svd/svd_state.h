@@ -28,6 +28,7 @@ typedef struct svd_state {
   btfi_random random;
   svd_plan plan;
   uint32_t largest_rank; /* wanted, as far as the matrix can have it */
+  int exponent;          /* values are read times 2^-exponent */
 
   float *blocks;            /* the held matrix or the sample */
   float *window;            /* the block last read, unless the matrix is held */
@@ -76,6 +77,8 @@ btfi_slab btfi_svd_slab(const svd_state *s, const float *data, uint64_t items);
 void btfi_svd_clear_block(const svd_state *s, float *data);
 /* Reads block b to where it belongs unless it is held and loaded. */
 btf_status btfi_svd_fetch(svd_state *s, uint64_t block, btfi_slab *slab);
+/* Finds the largest magnitude in the matrix as it is read, or fails where a value is not finite. */
+btf_status btfi_svd_find_largest(svd_state *s, float *largest);
 /* Reads runs of items from all over the matrix into the sample's blocks. */
 btf_status btfi_svd_read_sample(svd_state *s);
 
@@ -112,7 +115,8 @@ bool btfi_svd_set_direction(svd_state *s, float *direction, uint32_t slot);
 btf_status btfi_svd_pass(svd_state *s, double first, double last, double *missed);
 /* One reading after a pass: the image of the new basis, and Ritz values in both bases together. */
 btf_status btfi_svd_refine(svd_state *s, double first, double last);
-/* Squared residual of projecting the items on the basis, summed from the differences themselves. */
+/* Squared residual of the triplets found, whose left vectors are in `projection`, summed from the differences
+ * themselves. */
 btf_status btfi_svd_explicit_rest(svd_state *s, double first, double last, double *rest);
 /* Packs rows row .. row + items - 1 of C for the product with a slab. */
 void btfi_svd_pack_projection(svd_state *s, uint64_t row, uint64_t items, const btfi_slab *slab);
