@@ -34,7 +34,7 @@ BTF_PARAM(symmetric, BTF_PARAM_BOOL, "the same factor for light and view in a st
 BTF_PARAM(grid, BTF_PARAM_CHOICE, "tables of half and difference vectors while factoring", NULL, "angular",
           grids, 0, 0);
 BTF_PARAM(resolution, BTF_PARAM_INT, "edge of those tables; angular ones have half as many elevations", NULL,
-          "32", NULL, 4, 256);
+          "32", NULL, 4, 64);
 BTF_PARAM(edge, BTF_PARAM_INT, "edge of the parabolic maps", "texel", "32", NULL, CMF_MIN_EDGE, CMF_MAX_EDGE);
 BTF_PARAM(epsilon, BTF_PARAM_FLOAT, "least divisor of a residue, relative to the largest value of the ABRDF",
           NULL, "0.001", NULL, 1e-6, 1);

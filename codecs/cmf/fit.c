@@ -4,6 +4,11 @@
 
 #include <math.h>
 
+#include "cluster_parts.h"
+#include "search.h"
+
+enum { SEARCH_ROWS = 64 /* that a search for nearest entries takes at once at least */ };
+
 static btf_status read_chain(btfi_cmf_fitting *f, const btf_options *options) {
   const btf_host *host = f->host;
   const char *text = host->option_text(options, "chain"), *wrong;
@@ -109,6 +114,10 @@ static btf_status create_hf(btfi_cmf_fitting *f) {
     status = btfi_cmf_hf_create(f->host, f->ctx, &hf, f->lambda, btfi_cmf_left(f), &f->hf);
   f->host->free(f->ctx, texel);
   f->host->free(f->ctx, weight);
+  const uint64_t most = (uint64_t)f->factors * f->settings.edge * f->settings.edge;
+  if (status == BTF_E_LIMIT)
+    return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: the homomorphic method needs a working set of %llu MiB",
+                         (unsigned long long)((f->used + 32 * most * most) >> 20) + 64);
   if (status != BTF_OK) return status;
   const uint64_t unknowns = btfi_cmf_hf_unknowns(f->hf);
   f->used += 8 * unknowns * unknowns + btfi_cmf_hf_solve_bytes(f->host, f->ctx, f->hf, 64, f->channels) +
@@ -123,7 +132,9 @@ static btf_status create_hf(btfi_cmf_fitting *f) {
 
 static btf_status make_geometry(btfi_cmf_fitting *f, const btf_dataset_desc *desc) {
   const btf_host *host = f->host;
-  BTF_TRY(btfi_cmf_geometry_create(host, f->ctx, &f->settings, desc->lights, desc->views, f->budget / 2,
+  /* Small tables are made in any case: then what all would need is known. */
+  const uint64_t small = (uint64_t)64 << 20, table_budget = f->budget > small ? f->budget : small;
+  BTF_TRY(btfi_cmf_geometry_create(host, f->ctx, &f->settings, desc->lights, desc->views, table_budget,
                                    &f->geometry));
   f->used += f->geometry->bytes;
   f->factors = f->geometry->factors;
@@ -139,6 +150,51 @@ static btf_status make_geometry(btfi_cmf_fitting *f, const btf_dataset_desc *des
     f->used += (uint64_t)CMF_TURN * ((uint64_t)f->lights + f->views) * sizeof(btf_interp) + 16ull * f->pairs;
   }
   return BTF_OK;
+}
+
+/* What reading needs of the working set: an ABRDF, and for averages sums in double and one more for each
+ * thread. */
+static uint64_t visit_bytes(const btfi_cmf_fitting *f) {
+  return (uint64_t)f->pairs * f->channels * (8 + 4 * (f->threads + 1ull));
+}
+
+/* What reading and clustering need, which take turns, beside the factors of `capacity` texels. */
+static uint64_t turn_bytes(const btfi_cmf_fitting *f, uint64_t samples, uint64_t capacity) {
+  const btfi_cmf_cluster_options options = {.method = f->clustering, .entries = f->entries};
+  const uint32_t entries = f->entries < samples ? f->entries : (uint32_t)samples;
+  const uint64_t search = btfi_cmf_search_bytes(entries, f->map_values, SEARCH_ROWS);
+  const uint64_t train =
+      btfi_cmf_cluster_bytes(&options, 0, samples, f->map_values, f->threads) + 4 * samples;
+  const uint64_t books = f->factors * (4 * (uint64_t)entries * f->map_values + 4 * samples);
+  const uint64_t assign = 4 * (uint64_t)f->factors * capacity, most = train > assign ? train : assign;
+  const uint64_t visit = visit_bytes(f);
+  return books + (search + most > visit ? search + most : visit);
+}
+
+/* Room for the factors of as many texels as leave enough for the rest; if that is little, fewer samples. */
+static btf_status make_store(btfi_cmf_fitting *f) {
+  const uint64_t texels = f->level_first[f->levels], finest = f->level_first[1];
+  const uint64_t least = f->entries < finest ? f->entries : finest;
+  f->store_kind = f->storage == CMF_U8 ? CMF_U8 : CMF_F16;
+  f->record_bytes = (uint64_t)f->factors * f->map_values * btfi_cmf_value_bytes(f->store_kind);
+  if (f->samples > texels) f->samples = texels;
+  f->capacity = texels;
+  while (f->capacity * f->record_bytes + turn_bytes(f, f->samples, f->capacity) > btfi_cmf_left(f)) {
+    if (f->samples > finest) f->samples = finest;
+    /* Each texel more takes its record and its place in the index. */
+    const uint64_t fixed = turn_bytes(f, f->samples, f->samples) + f->samples * f->record_bytes;
+    if (fixed <= btfi_cmf_left(f)) {
+      f->capacity = f->samples + (btfi_cmf_left(f) - fixed) / (f->record_bytes + 4 * (uint64_t)f->factors);
+      break;
+    }
+    if (f->samples <= least)
+      return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: codebooks of %u entries need a working set of %llu KiB",
+                           f->entries, (unsigned long long)((f->used + fixed) >> 10) + 1);
+    f->samples = f->samples / 2 > least ? f->samples / 2 : least;
+  }
+  if (f->capacity > texels) f->capacity = texels;
+  f->store = take(f, f->capacity, f->record_bytes);
+  return f->store != NULL ? BTF_OK : BTF_E_NOMEM;
 }
 
 static btf_status make_room(btfi_cmf_fitting *f) {
@@ -158,19 +214,10 @@ static btf_status make_room(btfi_cmf_fitting *f) {
     memset(f->angle, 0, texels);
   }
   if (f->settings.method == CMF_HOMOMORPHIC) BTF_TRY(create_hf(f));
-  if (f->entries == 0) return BTF_OK;
-  /* Half of what is left holds factors; reading and clustering take turns with the other half. */
-  f->store_kind = f->storage == CMF_U8 ? CMF_U8 : CMF_F16;
-  f->record_bytes = (uint64_t)f->factors * f->map_values * btfi_cmf_value_bytes(f->store_kind);
-  f->capacity = btfi_cmf_left(f) / 2 / f->record_bytes;
-  if (f->capacity > texels) f->capacity = texels;
-  if (f->capacity < f->entries && f->capacity < f->level_first[1])
-    return f->host->fail(
-        f->ctx, BTF_E_LIMIT,
-        "cmf: codebooks of %u entries need the factors of as many texels: a working set of %llu MiB",
-        f->entries, (unsigned long long)((f->used + 2 * f->record_bytes * f->entries) >> 20) + 1);
-  f->store = take(f, f->capacity, f->record_bytes);
-  return f->store != NULL ? BTF_OK : BTF_E_NOMEM;
+  if (f->entries > 0) return make_store(f);
+  if (btfi_cmf_left(f) >= visit_bytes(f)) return BTF_OK;
+  return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: tables and reading need a working set of %llu KiB",
+                       (unsigned long long)((f->used + visit_bytes(f)) >> 10) + 1);
 }
 
 static void log_report(const btfi_cmf_fitting *f) {
@@ -204,10 +251,6 @@ static btf_status fit_all(btfi_cmf_fitting *f, const btf_options *options) {
   BTF_TRY(f->host->progress(f->job, 0.0, "preparing"));
   BTF_TRY(make_geometry(f, &desc));
   BTF_TRY(make_room(f));
-  if (btfi_cmf_left(f) == 0)
-    return f->host->fail(f->ctx, BTF_E_LIMIT,
-                         "cmf: the tables take a working set of %llu MiB, and reading more",
-                         (unsigned long long)(f->used >> 20) + 1);
   BTF_TRY(btfi_cmf_write(f));
   log_report(f);
   return f->host->progress(f->job, 1.0, "storing");

@@ -259,7 +259,7 @@ static btf_status make_means(making *m, btfi_cmf_stage_geometry *s) {
           m->host->fail(m->ctx, BTF_E_LIMIT,
                         "cmf: the mean over a projection needs %llu MiB of tables; lower resolution or give "
                         "it that working set",
-                        (unsigned long long)(entries >> 17));
+                        (unsigned long long)(entries >> 16) + 64);
   }
   if (status == BTF_OK) {
     s->start = table(m, s->rows + 1ull, sizeof *s->start);
@@ -295,7 +295,7 @@ static btf_status make_stage(making *m, uint32_t index) {
         m->ctx, BTF_E_LIMIT,
         "cmf: stage %u of %u x %u cells needs a working set of %llu MiB; lower the resolution or "
         "raise it",
-        index + 1, s->rows, s->columns, (unsigned long long)(bytes >> 20) + 1);
+        index + 1, s->rows, s->columns, (unsigned long long)(bytes >> 19) + 64);
   for (uint32_t k = 0; k < s->sides; k++) {
     BTF_TRY(make_to_map(m, &s->side[k]));
     BTF_TRY(make_at(m, s->stage.pair, k, &s->side[k]));

@@ -528,7 +528,7 @@ static void test_budgets(void **unused) {
   btf_model *roomy = fit(ctx, &m, settings), *model;
   const double error = relative_error(roomy, &m);
   btf_job job = BTF_JOB_INIT;
-  job.max_working_set = 2300u << 10;
+  job.max_working_set = 1700u << 10;
   assert_ok(try_fit(ctx, &m, settings, &job, &model));
   /* Another choice of texels to learn from. */
   assert_true(relative_error(model, &m) < 1.25 * error);

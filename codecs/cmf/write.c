@@ -85,7 +85,7 @@ static btf_status train(codebooks *b, uint64_t records, const uint32_t *sample, 
                                               .max_working_set = btfi_cmf_left(f)};
     BTF_TRY(btfi_cmf_cluster(f->host, f->ctx, &vectors, &options, f->job, from + (to - from) * i / f->factors,
                              from + (to - from) * (i + 1) / f->factors, "clustering", &b->book[i]));
-    f->used += 4 * (uint64_t)b->book[i].entries * f->map_values;
+    f->used += 4 * ((uint64_t)b->book[i].entries * f->map_values + records);
     BTF_TRY(store_codebook(b, i));
     if (b->book[i].entries > most) most = b->book[i].entries;
   }
@@ -164,14 +164,15 @@ static btf_status assign(codebooks *b, uint64_t first_record, uint64_t records, 
   for (uint32_t i = 0; i < f->factors; i++) {
     const factor_vectors user = {f, i, first_record, NULL};
     const btfi_cmf_vectors vectors = {records, f->map_values, read_vector, &user};
+    const uint64_t indices = 4 * (uint64_t)f->factors * records;
     if (trained) {
       memcpy(b->index + i * records, b->book[i].index, records * sizeof *b->index);
       continue;
     }
     BTF_TRY(btfi_cmf_assign(f->host, f->ctx, &vectors, b->book[i].values, b->book[i].entries,
-                            btfi_cmf_left(f), f->job, from + (to - from) * i / f->factors,
-                            from + (to - from) * (i + 1) / f->factors, "clustering", b->index + i * records,
-                            NULL));
+                            btfi_cmf_left(f) > indices ? btfi_cmf_left(f) - indices : 1, f->job,
+                            from + (to - from) * i / f->factors, from + (to - from) * (i + 1) / f->factors,
+                            "clustering", b->index + i * records, NULL));
   }
   BTF_TRY(f->host->parallel(f->ctx, (uint32_t)records, take_record, &r));
   f->host->free(f->ctx, b->index);
