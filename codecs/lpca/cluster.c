@@ -18,7 +18,8 @@ static void *need(btfi_lpca_model *m, bool *ok, uint64_t count, uint64_t size) {
 }
 
 btf_status btfi_lpca_model_alloc(btfi_lpca_model *m, uint64_t max_working_set) {
-  const uint64_t rows = (uint64_t)m->clusters * (m->most_components + 1);
+  const uint64_t clusters = m->room > m->clusters ? m->room : m->clusters;
+  const uint64_t rows = clusters * (m->most_components + 1);
   const uint64_t square = (uint64_t)m->size * m->size;
   const uint64_t room = max_working_set / 8 / sizeof(float);
   uint64_t block = (room < MOST_PRODUCTS ? room : MOST_PRODUCTS) / rows;
@@ -29,10 +30,10 @@ btf_status btfi_lpca_model_alloc(btfi_lpca_model *m, uint64_t max_working_set) {
   m->gather_size = (uint64_t)m->size * (m->size > GATHER_RUN ? m->size : GATHER_RUN);
   m->basis = need(m, &ok, rows * m->size, sizeof *m->basis);
   m->mean_dot = need(m, &ok, rows, sizeof *m->mean_dot);
-  m->values = need(m, &ok, (uint64_t)m->clusters * LPCA_MAX_COMPONENTS, sizeof *m->values);
-  m->trace = need(m, &ok, m->clusters, sizeof *m->trace);
-  m->cost = need(m, &ok, m->clusters, sizeof *m->cost);
-  m->start = need(m, &ok, (uint64_t)m->clusters + 1, sizeof *m->start);
+  m->values = need(m, &ok, clusters * LPCA_MAX_COMPONENTS, sizeof *m->values);
+  m->trace = need(m, &ok, clusters, sizeof *m->trace);
+  m->cost = need(m, &ok, clusters, sizeof *m->cost);
+  m->start = need(m, &ok, clusters + 1, sizeof *m->start);
   m->order = need(m, &ok, m->count, sizeof *m->order);
   m->label = need(m, &ok, m->count, sizeof *m->label);
   m->second = need(m, &ok, m->count, sizeof *m->second);

@@ -30,8 +30,8 @@ typedef struct fitting {
   float *points, *vectors; /* of svd, or their stand-ins if the data are all 0 */
   float *zeros, *center;
   uint32_t *best_label;
-  float *level_points, *level_error;
   btfi_lpca_model model;
+  btfi_lpca_coarse coarse;
   btfi_lpca_writing out;
 } fitting;
 
@@ -57,7 +57,8 @@ static btf_status describe(fitting *f) {
 
 /* Bytes of the coefficients, their mip levels and their basis for each dimension of the subspace. */
 static uint64_t dimension_bytes(const fitting *f) {
-  return sizeof(float) * (f->texels + f->texels / 4 + f->rows);
+  const uint64_t coarse = btfi_lpca_coarse_texels(f->shape.width, f->shape.height, f->out.layout.levels);
+  return sizeof(float) * (f->texels + coarse + f->rows);
 }
 
 /* The subspace that is asked for, or what a quarter of the budget holds of the default one. */
@@ -167,7 +168,7 @@ static btf_status find_coefficients(fitting *f, double from, double to) {
 /* ---- clusters ---- */
 
 /* The best of some starts: k-means, then rounds with the components. */
-static btf_status cluster(fitting *f, uint32_t components, double from, double to) {
+static btf_status best_start(fitting *f, uint32_t components, double from, double to) {
   btfi_lpca_model *m = &f->model;
   uint64_t random = f->job->seed;
   double least = INFINITY;
@@ -188,10 +189,10 @@ static btf_status cluster(fitting *f, uint32_t components, double from, double t
   return btfi_lpca_refit(m);
 }
 
-/* Drops clusters without members and components that are rounding error in all clusters. */
-static btf_status trim(fitting *f) {
+/* Drops clusters without members and, if asked to, components that are rounding error in all clusters. */
+static btf_status trim(fitting *f, bool trim_components) {
   btfi_lpca_model *m = &f->model;
-  uint32_t used = 0, components = 1;
+  uint32_t used = 0, components = trim_components ? 1 : m->components;
   for (uint32_t k = 0; k < m->clusters; k++) {
     if (m->start[k + 1] == m->start[k]) continue;
     for (uint64_t i = m->start[k]; i < m->start[k + 1]; i++) m->label[m->order[i]] = used;
@@ -200,10 +201,28 @@ static btf_status trim(fitting *f) {
       if (m->values[(size_t)k * LPCA_MAX_COMPONENTS + j] > NEGLIGIBLE * NEGLIGIBLE * f->svd.energy)
         components = j + 1;
   }
+  if (components < f->coarse.components) components = f->coarse.components;
+  if (components > m->components) components = m->components;
   if (used == m->clusters && components == m->components) return BTF_OK;
   m->clusters = used;
   m->components = components;
   return btfi_lpca_refit(m);
+}
+
+/* Clusters of the finest level, with as many left for the coarser ones as these need. */
+static btf_status cluster(fitting *f, uint32_t components, double from, double to) {
+  BTF_TRY(best_start(f, components, from, to));
+  BTF_TRY(trim(f, false));
+  return btfi_lpca_coarse_choose(&f->coarse, &f->model, f->clusters - f->model.clusters, f->iterations, to);
+}
+
+static btf_status set_layout(fitting *f) {
+  f->out.layout.clusters = f->model.clusters;
+  f->out.layout.components = f->model.components;
+  if (!btfi_lpca_layout_of(&f->shape, f->lights, f->views, &f->out.layout))
+    return f->host->fail(f->ctx, BTF_E_LIMIT, "lpca: the tables of %u clusters would not fit 64 bits",
+                         f->model.clusters);
+  return BTF_OK;
 }
 
 /* Weights of the finest level, and the error of the model less that of storage. */
@@ -217,12 +236,7 @@ static btf_status weigh(fitting *f) {
   BTF_TRY(btfi_lpca_weights(m, m->points, m->count, m->label, finest->weights, m->error));
   f->out.head.squared_error = f->out.head.outside;
   for (uint64_t i = 0; i < m->count; i++) f->out.head.squared_error += (double)m->error[i];
-  f->out.layout.clusters = m->clusters;
-  f->out.layout.components = m->components;
-  if (!btfi_lpca_layout_of(&f->shape, f->lights, f->views, &f->out.layout))
-    return f->host->fail(f->ctx, BTF_E_LIMIT, "lpca: the tables of %u clusters would not fit 64 bits",
-                         m->clusters);
-  return BTF_OK;
+  return set_layout(f);
 }
 
 /* The squared error of what would be decoded. */
@@ -275,17 +289,19 @@ static btf_status find_clusters(fitting *f, double from, double to) {
   m->count = f->texels;
   m->size = size;
   m->clusters = f->clusters;
+  m->room = f->clusters + btfi_lpca_coarse_most(f->clusters);
   m->most_components = f->components;
   BTF_TRY(btfi_lpca_model_alloc(m, f->job->max_working_set));
   f->best_label = f->host->alloc(f->ctx, f->texels, sizeof *f->best_label);
   if (f->best_label == NULL) return BTF_E_NOMEM;
+  BTF_TRY(btfi_lpca_coarse_make(&f->coarse, m, f->shape.width, f->shape.height, f->out.layout.levels));
   f->out.model = m;
   f->out.center = f->center;
   f->out.vectors = f->vectors;
   f->out.head.energy = f->svd.energy;
   f->out.head.outside = f->svd.residual;
   BTF_TRY(isinf(f->target) ? cluster(f, f->components, from, to) : search_components(f, from, to));
-  BTF_TRY(trim(f));
+  BTF_TRY(trim(f, true));
   return weigh(f);
 }
 
@@ -293,26 +309,25 @@ static btf_status find_clusters(fitting *f, double from, double to) {
 
 /* A texel of a coarser level is the average of ABRDFs, whose coefficients are the average of theirs. It gets
  * the cluster that reconstructs it best, from the same tables. */
-static btf_status find_levels(fitting *f, double from, double to) {
+static btf_status find_levels(fitting *f, double at) {
   const btf_host *host = f->host;
   btfi_lpca_model *m = &f->model;
   btfi_lpca_layout *layout = &f->out.layout;
-  if (layout->levels < 2) return BTF_OK;
-  const uint64_t most = (uint64_t)layout->level_width[1] * layout->level_height[1];
-  f->level_points = host->alloc(f->ctx, most, m->size * sizeof *f->level_points);
-  f->level_error = host->alloc(f->ctx, most, sizeof *f->level_error);
-  if (f->level_points == NULL || f->level_error == NULL) return BTF_E_NOMEM;
+  const float *points = f->coarse.points;
+  const uint32_t *label = f->coarse.label;
+  BTF_TRY(btfi_lpca_coarse_fit(&f->coarse, m, at));
+  BTF_TRY(set_layout(f));
   for (uint32_t level = 1; level < layout->levels; level++) {
     btfi_lpca_level *l = &f->out.level[level];
     const uint64_t texels = (uint64_t)layout->level_width[level] * layout->level_height[level];
-    BTF_TRY(host->progress(f->job, from + (to - from) * level / layout->levels, "levels of detail"));
+    BTF_TRY(host->progress(f->job, at, "levels of detail"));
     l->label = host->alloc(f->ctx, texels, sizeof *l->label);
     l->weights = host->alloc(f->ctx, texels, m->components * sizeof *l->weights);
     if (l->label == NULL || l->weights == NULL) return BTF_E_NOMEM;
-    BTF_TRY(host->mip_filter(f->ctx, m->points, m->size, f->shape.width, f->shape.height, m->size, level,
-                             f->level_points, m->size));
-    BTF_TRY(btfi_lpca_assign(m, f->level_points, texels, false, l->label, f->level_error, NULL, NULL));
-    BTF_TRY(btfi_lpca_weights(m, f->level_points, texels, l->label, l->weights, f->level_error));
+    memcpy(l->label, label, texels * sizeof *l->label);
+    BTF_TRY(btfi_lpca_weights(m, points, texels, label, l->weights, m->error));
+    points += texels * m->size;
+    label += texels;
   }
   return BTF_OK;
 }
@@ -333,7 +348,7 @@ static btf_status fit_all(fitting *f) {
   BTF_TRY(find_clusters(f, 0.5, 0.8));
   BTF_TRY(btfi_lpca_refine(&f->out, &f->model, f->ds, (uint32_t)host->option(f->options, "refine"),
                            f->job->max_working_set, 0.8, 0.9));
-  BTF_TRY(find_levels(f, 0.9, 0.94));
+  BTF_TRY(find_levels(f, 0.9));
   BTF_TRY(host->progress(f->job, 0.94, "storing"));
   f->out.head.storage = f->out.layout.storage;
   f->out.head.packing = f->out.layout.packing;
@@ -341,14 +356,14 @@ static btf_status fit_all(fitting *f) {
   f->out.head.components = f->out.layout.components;
   f->out.head.levels = f->out.layout.levels;
   BTF_TRY(btfi_lpca_write(&f->out, true));
-  host->log(
-      f->ctx, BTF_LOG_INFO,
-      "lpca: %u clusters, %u components, %u splits; predicted rmse %.6g, relative error %.6g; outside of the "
-      "subspace of %u: %.6g",
-      f->out.head.clusters, f->out.head.components, f->model.splits,
-      sqrt(f->out.head.squared_error / ((double)f->rows * (double)f->texels)),
-      f->out.head.energy > 0.0 ? sqrt(f->out.head.squared_error / f->out.head.energy) : 0.0, f->svd.rank,
-      f->out.head.energy > 0.0 ? sqrt(f->out.head.outside / f->out.head.energy) : 0.0);
+  host->log(f->ctx, BTF_LOG_INFO,
+            "lpca: %u clusters (%u for coarser levels alone), %u components, %u splits; predicted rmse %.6g, "
+            "relative error %.6g; outside of the "
+            "subspace of %u: %.6g",
+            f->out.head.clusters, f->coarse.clusters, f->out.head.components, f->model.splits,
+            sqrt(f->out.head.squared_error / ((double)f->rows * (double)f->texels)),
+            f->out.head.energy > 0.0 ? sqrt(f->out.head.squared_error / f->out.head.energy) : 0.0,
+            f->svd.rank, f->out.head.energy > 0.0 ? sqrt(f->out.head.outside / f->out.head.energy) : 0.0);
   return host->progress(f->job, 1.0, "storing");
 }
 
@@ -377,8 +392,7 @@ btf_status btfi_lpca_fit(const btf_host *host, btf_context *ctx, const btf_datas
   host->free(ctx, f->zeros);
   host->free(ctx, f->center);
   host->free(ctx, f->best_label);
-  host->free(ctx, f->level_points);
-  host->free(ctx, f->level_error);
+  btfi_lpca_coarse_free(&f->coarse, host, ctx);
   host->free(ctx, f);
   return status;
 }

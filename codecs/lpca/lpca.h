@@ -69,6 +69,8 @@ typedef struct btfi_lpca_model {
   uint32_t size;       /* coordinates of a point */
   const float *points; /* count x size */
   uint32_t clusters;
+  uint32_t room;            /* clusters that there is room for */
+  uint32_t fixed;           /* clusters before this one stay as they are; 0 = none do */
   uint32_t most_components; /* that there is room for */
   uint32_t components;      /* of the fit at hand, 0 for k-means; a refit follows every change */
 
@@ -96,7 +98,8 @@ typedef struct btfi_lpca_model {
   uint32_t splits; /* clusters that were given to another place since the start */
 } btfi_lpca_model;
 
-/* Room for fits of up to most_components. After a failure, too, the model must be freed. */
+/* Room for fits of up to `room` clusters and most_components. After a failure, too, the model must be freed.
+ */
 btf_status btfi_lpca_model_alloc(btfi_lpca_model *m, uint64_t max_working_set);
 void btfi_lpca_model_free(btfi_lpca_model *m);
 /* Labels as of k-means++: means are points drawn by their squared distance from the means before, each the
@@ -121,6 +124,32 @@ double btfi_lpca_cost_with(const btfi_lpca_model *m, uint32_t components);
  * `iterations` are done. Costs go to history[0 .. *steps - 1], at most iterations + 1, unless it is NULL. */
 btf_status btfi_lpca_iterate(btfi_lpca_model *m, uint32_t iterations, double least, double *history,
                              uint32_t *steps, double from, double to);
+
+/* ---- levels of detail (levels.c) ---- */
+
+/* The texels of the coarser levels, level by level, and the clusters that are theirs alone. */
+typedef struct btfi_lpca_coarse {
+  uint32_t width, height, levels;
+  uint64_t count;
+  float *points;                 /* count x size */
+  uint32_t *label;               /* of each point */
+  uint64_t *start;               /* as in the model */
+  uint32_t clusters, components; /* components that are not rounding error */
+} btfi_lpca_coarse;
+
+uint64_t btfi_lpca_coarse_texels(uint32_t width, uint32_t height, uint32_t levels);
+/* The most clusters that the finest level gives up, of so many. */
+uint32_t btfi_lpca_coarse_most(uint32_t clusters);
+/* Averages of the points of the model. After a failure, too, it must be freed. */
+btf_status btfi_lpca_coarse_make(btfi_lpca_coarse *c, const btfi_lpca_model *m, uint32_t width,
+                                 uint32_t height, uint32_t levels);
+void btfi_lpca_coarse_free(btfi_lpca_coarse *c, const btf_host *host, btf_context *ctx);
+/* Chooses how many clusters the coarser levels get. What is beyond the `spare` ones is taken from the model,
+ * which then goes through some iterations. */
+btf_status btfi_lpca_coarse_choose(btfi_lpca_coarse *c, btfi_lpca_model *m, uint32_t spare,
+                                   uint32_t iterations, double at);
+/* Adds these clusters to the model, behind its own, and labels all points with the best of all clusters. */
+btf_status btfi_lpca_coarse_fit(btfi_lpca_coarse *c, btfi_lpca_model *m, double at);
 
 /* ---- payload (fit.c, write.c, load.c) ---- */
 
@@ -150,8 +179,10 @@ typedef struct btfi_lpca_writing {
   btfi_lpca_head head;
   float *lifted;       /* ABRDFs of the cluster at hand, the mean and the components side by side */
   float *center_basis; /* its basis with the center in the mean */
-  float *refined;   /* of each cluster the ABRDFs of the mean and the components one after another, or NULL */
-  double *mean_dot; /* while refining: the mean times each of them */
+  float *refined; /* of each cluster of the finest level the ABRDFs of the mean and the components one after
+                     another, or NULL */
+  uint32_t refined_clusters;
+  double *mean_dot;     /* while refining: the mean times each of them */
   float *factor_scale;  /* of each cluster the mean and the components: what table values are multiplied by */
   float *weight_scale;  /* of each cluster the components */
   double storage_error; /* squared error that rounding adds */

@@ -303,6 +303,7 @@ btf_status btfi_lpca_refine(btfi_lpca_writing *w, btfi_lpca_model *m, const btf_
       r.member != NULL && r.turn != NULL && r.a != NULL && r.b != NULL && r.values != NULL)
     status = passes(&r, count, from, to);
   if (status == BTF_OK) status = update_model(&r, m);
+  w->refined_clusters = l->clusters;
   void *const rooms[] = {w->center_basis, w->mean_dot, r.sums, r.moments, r.block, r.gathered, r.factors,
                          r.products,      r.member,    r.turn, r.a,       r.b,     r.values};
   for (size_t i = 0; i < sizeof rooms / sizeof *rooms; i++) host->free(w->ctx, rooms[i]);

@@ -156,7 +156,7 @@ static btf_status refit_cluster(btfi_lpca_model *m, uint32_t k, const uint32_t *
 
 static void refit_task(void *job, uint32_t k, uint32_t thread) {
   btfi_lpca_model *m = job;
-  if (m->failed[thread] != BTF_OK) return;
+  if (k < m->fixed || m->failed[thread] != BTF_OK) return;
   m->failed[thread] = refit_cluster(m, k, m->order + m->start[k], m->start[k + 1] - m->start[k], thread);
 }
 
@@ -172,6 +172,11 @@ static void collect_members(btfi_lpca_model *m) {
 
 btf_status btfi_lpca_refit(btfi_lpca_model *m) {
   collect_members(m);
+  /* Of clusters that stay, what the assignment found. */
+  for (uint32_t k = 0; k < m->fixed; k++) {
+    m->cost[k] = 0.0;
+    for (uint64_t i = m->start[k]; i < m->start[k + 1]; i++) m->cost[k] += (double)m->error[m->order[i]];
+  }
   for (uint32_t t = 0; t < m->threads; t++) m->failed[t] = BTF_OK;
   BTF_TRY(m->host->parallel(m->ctx, m->clusters, refit_task, m));
   for (uint32_t t = 0; t < m->threads; t++)
@@ -285,7 +290,10 @@ btf_status btfi_lpca_split(btfi_lpca_model *m) {
       m->start[m->label[i]]++;
       total += (double)m->error[i];
     }
-    for (uint32_t k = 0; k < m->clusters; k++) empty += m->start[k] == 0;
+    for (uint32_t k = 0; k < m->clusters; k++) {
+      c[k].touched = k < m->fixed;
+      empty += !c[k].touched && m->start[k] == 0;
+    }
     const uint32_t tries = empty + 1;
     for (uint32_t i = 0; i < tries && !done && status == BTF_OK; i++)
       status = split_once(m, c, members, 1e-4 * total / m->clusters, &done);

@@ -379,6 +379,54 @@ static void test_levels(void **unused) {
   test_context_done(ctx, &memory);
 }
 
+/* Two materials on affine subspaces of 1 dimension, texel by texel in turn like the squares of a
+ * checkerboard. Every coarser texel is a mixture and lies in neither, but all mixtures lie on one of 3
+ * dimensions: the two of the materials and the way from one to the other. With a cluster of as many
+ * components for them, the coarser levels are what averaging the data's ABRDFs gives, and the finest level is
+ * exact all the same. */
+static void test_levels_of_mixtures(void **unused) {
+  (void)unused;
+  enum { SIDE = 16, PAIRS = 64, VALUES = 3 * PAIRS };
+  btf_context *ctx = test_context(&memory);
+  material m = planted_material(ctx, SIDE, SIDE, 2, 1);
+  for (uint32_t t = 0; t < SIDE * SIDE; t += 2)
+    for (uint32_t i = 0; i < VALUES && t / SIDE % 2 == 1; i++) {
+      float *at = m.samples + ((size_t)(i / 3) * SIDE * SIDE + t) * 3 + i % 3;
+      const float left = at[0];
+      at[0] = at[3];
+      at[3] = left;
+    }
+  float *all = malloc((size_t)SIDE * SIDE * VALUES * sizeof *all),
+        *average = malloc((size_t)SIDE * SIDE * VALUES * sizeof *average);
+  for (uint32_t t = 0; t < SIDE * SIDE; t++)
+    for (uint32_t row = 0; row < VALUES; row++) all[t * VALUES + row] = (float)material_row(&m, t, row);
+  btf_model *model = lpca_fit(ctx, &m, "clusters=8 components=4 storage=f32");
+  for (uint32_t level = 0; level < 5; level++) {
+    const uint32_t side = SIDE >> level;
+    double error = 0.0, energy = 0.0;
+    assert_ok(btfi_mip_filter(ctx, all, VALUES, SIDE, SIDE, VALUES, level, average, VALUES));
+    for (uint32_t t = 0; t < side * side; t++)
+      for (uint32_t pair = 0; pair < PAIRS; pair++) {
+        float got[3];
+        btf_model_texel(model, level, t % side, t / side, pair % 8, pair / 8, got);
+        for (uint32_t c = 0; c < 3; c++) {
+          const double expected = average[t * VALUES + pair * 3 + c];
+          error += pow(got[c] - expected, 2.0);
+          energy += expected * expected;
+        }
+      }
+    print_message("level %u of mixtures: relative error %.3g\n", level, sqrt(error / energy));
+    /* Exact but for float rounding of coefficients, bases, weights and sums. A cluster of one material would
+     * be off by about the distance of the materials, a third of the norm. */
+    assert_true(sqrt(error / energy) < 5e-6);
+  }
+  btf_model_release(model);
+  free(all);
+  free(average);
+  material_release(&m);
+  test_context_done(ctx, &memory);
+}
+
 typedef struct reader_thread {
   pthread_t thread;
   const btf_model *model;
@@ -422,6 +470,7 @@ int main(void) {
                                      cmocka_unit_test(test_batch_equals_single),
                                      cmocka_unit_test(test_instruction_sets),
                                      cmocka_unit_test(test_levels),
+                                     cmocka_unit_test(test_levels_of_mixtures),
                                      cmocka_unit_test(test_threads)};
   return btf_run("lpca_eval", tests);
 }

@@ -73,7 +73,7 @@ static btf_status lift_cluster(btfi_lpca_writing *w, uint32_t k, uint64_t member
   const uint64_t rows = l->pairs * w->layout.channels;
   float *basis = w->center_basis, *scale = w->factor_scale + (size_t)k * columns;
   float inverse[LPCA_MAX_COMPONENTS + 1];
-  if (w->refined != NULL) {
+  if (k < w->refined_clusters) {
     const float *refined = w->refined + k * columns * rows;
     for (uint32_t j = 0; j < columns; j++)
       for (uint64_t row = 0; row < rows; row++) w->lifted[row * columns + j] = refined[j * rows + row];
