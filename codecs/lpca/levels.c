@@ -155,6 +155,8 @@ static btf_status choose(btfi_lpca_coarse *c, btfi_lpca_model *m, uint32_t spare
           c->components = j + 1;
   }
   if (c->clusters <= spare) return btfi_lpca_refit(m);
+  /* The view has the model's room for errors and second bests. */
+  BTF_TRY(btfi_lpca_assign(m, m->points, m->count, true, m->label, m->error, m->second, m->second_error));
   for (uint32_t k = m->clusters; k-- > 0;)
     if (isinf(losses[k])) give_up(m, k);
   return btfi_lpca_iterate(m, iterations, LEAST_GAIN_AFTER, NULL, NULL, at, at);
