@@ -402,7 +402,7 @@ static void test_codebooks(void **unused) {
   (void)unused;
   btf_context *ctx = test_context(&memory);
   material m = material_create(ctx, BUMPS, "grid:6x3", 12, 12, 3);
-  btf_model *own = fit(ctx, &m, "codebook=0 levels=1");
+  btf_model *own = fit(ctx, &m, "codebook=0 levels=1 edge=16");
   const double least = relative_error(own, &m);
   const char *const kinds[] = {"kmeans", "tree", "mediancut"};
   btf_model_release(own);
@@ -410,7 +410,7 @@ static void test_codebooks(void **unused) {
     double before = INFINITY;
     for (uint32_t entries = 4; entries <= 256; entries *= 8) {
       char settings[96];
-      snprintf(settings, sizeof settings, "codebook=%u cluster=%s levels=1", entries, kinds[k]);
+      snprintf(settings, sizeof settings, "codebook=%u cluster=%s levels=1 edge=16", entries, kinds[k]);
       btf_model *model = fit(ctx, &m, settings);
       const double error = relative_error(model, &m);
       print_message("%s: relative error %.4f; own maps %.4f\n", settings, error, least);
@@ -430,9 +430,9 @@ static void test_rotation_shrinks_codebooks(void **unused) {
   (void)unused;
   btf_context *ctx = test_context(&memory);
   material m = material_create(ctx, ROTATED, "grid:12x4", 10, 10, 1);
-  btf_model *turned = fit(ctx, &m, "codebook=4 rotate=1 levels=1 resolution=16");
-  btf_model *few = fit(ctx, &m, "codebook=4 levels=1 resolution=16");
-  btf_model *many = fit(ctx, &m, "codebook=16 levels=1 resolution=16");
+  btf_model *turned = fit(ctx, &m, "codebook=4 rotate=1 levels=1 resolution=16 edge=16");
+  btf_model *few = fit(ctx, &m, "codebook=4 levels=1 resolution=16 edge=16");
+  btf_model *many = fit(ctx, &m, "codebook=16 levels=1 resolution=16 edge=16");
   const double a = relative_error(turned, &m), b = relative_error(few, &m), c = relative_error(many, &m);
   print_message("turned, 4 entries: %.4f; not turned, 4: %.4f, 16: %.4f\n", a, b, c);
   assert_true(a <= c);
