@@ -13,22 +13,61 @@ enum {
   RING = 8            /* taps alive; a power of two above PREFETCH_AHEAD */
 };
 
-static void tap_texel(const btfi_lpca_state *s, uint32_t level, uint32_t x, uint32_t y, float weight,
-                      btfi_lpca_taps *t) {
-  const uint64_t texel = (uint64_t)y * s->layout.level_width[level] + x;
+/* Two rows of texels and their weights: all queries of a scan line share them. */
+typedef struct texel_rows {
+  float v;
+  uint32_t level, y[2];
+  float weight[2];
+} texel_rows;
+
+static uint32_t cluster_of(const btfi_lpca_state *s, uint32_t level, uint64_t texel) {
   const unsigned char *index = s->index[level] + texel * s->layout.index_bytes;
-  t->cluster[t->texels] = s->layout.index_bytes == 1 ? index[0] : index[0] | (uint32_t)index[1] << 8;
-  t->weights[t->texels] = s->weights[level] + texel * s->layout.texel_bytes;
-  t->texel_weight[t->texels++] = weight;
+  return s->layout.index_bytes == 1 ? index[0] : index[0] | (uint32_t)index[1] << 8;
 }
 
-static void tap_texels(const btfi_lpca_state *s, const float uv[2], float lod, int nearest,
-                       btfi_lpca_taps *t) {
-  btf_texel_set set;
-  btf_sampling_texels(uv, lod, nearest, s->layout.width, s->layout.height, s->wrap, s->layout.levels, &set);
-  t->texels = 0;
+static void tap_texel(const btfi_lpca_state *s, uint32_t level, uint64_t texel, float weight,
+                      btfi_lpca_taps *t) {
+  t->cluster[t->texels] = cluster_of(s, level, texel);
+  t->weights[t->texels] = s->weights[level] + texel * s->layout.texel_bytes;
+  t->texel_weight[t->texels] = weight;
+}
+
+static void tap_nearest(const btfi_lpca_state *s, const float uv[2], float lod, btfi_lpca_taps *t) {
+  const btfi_lpca_layout *l = &s->layout;
+  const uint32_t level = btf_sampling_nearest_level(lod, l->levels);
+  const uint32_t x = btf_sampling_nearest(uv[0], l->level_width[level], s->wrap);
+  const uint32_t y = btf_sampling_nearest(uv[1], l->level_height[level], s->wrap);
   memset(t->texel_weight, 0, sizeof t->texel_weight);
-  for (uint32_t i = 0; i < set.count; i++) tap_texel(s, set.level[i], set.x[i], set.y[i], set.weight[i], t);
+  t->texels = 0;
+  tap_texel(s, level, (uint64_t)y * l->level_width[level] + x, 1.0f, t);
+  t->texels = 1;
+}
+
+/* The texels of btf_sampling_texels, in its order. */
+static inline __attribute__((always_inline)) void tap_texels(const btfi_lpca_state *s, const float uv[2],
+                                                             float lod, texel_rows *rows, btfi_lpca_taps *t) {
+  const btfi_lpca_layout *l = &s->layout;
+  btf_level_pair pair;
+  btf_sampling_levels(lod, l->levels, &pair);
+  memset(t->texel_weight, 0, sizeof t->texel_weight);
+  t->texels = 0;
+  for (uint32_t k = 0; k < 2; k++) {
+    const uint32_t level = pair.level[k], width = l->level_width[level];
+    uint32_t x[2];
+    float wx[2];
+    if (!(pair.weight[k] > 0.0f)) continue;
+    if (rows->level != level || memcmp(&rows->v, &uv[1], sizeof(float)) != 0) {
+      btf_sampling_linear(uv[1], l->level_height[level], s->wrap, rows->y, rows->weight);
+      rows->level = level;
+      rows->v = uv[1];
+    }
+    btf_sampling_linear(uv[0], width, s->wrap, x, wx);
+    for (uint32_t i = 0; i < 4; i++) {
+      const float weight = pair.weight[k] * (rows->weight[i / 2] * wx[i % 2]);
+      tap_texel(s, level, (uint64_t)rows->y[i / 2] * width + x[i % 2], weight, t);
+      t->texels += weight > 0.0f; /* or the next takes its place */
+    }
+  }
 }
 
 static void tap_row(const btfi_lpca_state *s, uint32_t light, uint32_t view, btfi_lpca_taps *t) {
@@ -41,27 +80,26 @@ static void tap_directions(const btfi_lpca_state *s, const btf_interp *light, co
                            btfi_lpca_taps *t) {
   const uint64_t row_bytes = s->layout.row_bytes, view_bytes = row_bytes * s->layout.lights;
   uint32_t count = 0;
-  for (uint32_t j = 0; j < 3; j++) {
-    if (view->weight[j] == 0.0f) continue;
+  for (uint32_t j = 0; j < 3; j++)
     for (uint32_t i = 0; i < 3; i++) {
       t->row[count] = light->index[i] * row_bytes + view->index[j] * view_bytes;
       t->row_weight[count] = view->weight[j] * light->weight[i];
-      count += light->weight[i] != 0.0f;
+      count += (view->weight[j] != 0.0f) & (light->weight[i] != 0.0f);
     }
-  }
   t->rows = count;
 }
 
 void btfi_lpca_eval(const void *state, const btf_query *query, float *out) {
   const btfi_lpca_state *s = state;
-  const int nearest = (query->flags & BTF_QUERY_NEAREST) != 0;
   btfi_lpca_taps t = {.texels = 0};
-  tap_texels(s, query->uv, query->lod, nearest, &t);
-  if (nearest) {
+  if ((query->flags & BTF_QUERY_NEAREST) != 0) {
+    tap_nearest(s, query->uv, query->lod, &t);
     tap_row(s, s->host->dirset_nearest(s->light_set, query->light),
             s->host->dirset_nearest(s->view_set, query->view), &t);
   } else {
+    texel_rows rows = {.level = UINT32_MAX};
     btf_interp light, view;
+    tap_texels(s, query->uv, query->lod, &rows, &t);
     s->host->dirset_locate(s->light_set, query->light, &light);
     s->host->dirset_locate(s->view_set, query->view, &view);
     tap_directions(s, &light, &view, &t);
@@ -71,10 +109,12 @@ void btfi_lpca_eval(const void *state, const btf_query *query, float *out) {
 
 void btfi_lpca_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view,
                      float *out) {
+  const btfi_lpca_state *s = state;
   btfi_lpca_taps t = {.texels = 0};
-  tap_texel(state, level, x, y, 1.0f, &t);
-  tap_row(state, light, view, &t);
-  ((const btfi_lpca_state *)state)->shade(state, &t, out);
+  tap_texel(s, level, (uint64_t)y * s->layout.level_width[level] + x, 1.0f, &t);
+  t.texels = 1;
+  tap_row(s, light, view, &t);
+  s->shade(s, &t, out);
 }
 
 /* ---- batches ---- */
@@ -85,25 +125,43 @@ typedef struct batch_front {
   const btfi_lpca_state *state;
   const btf_batch *batch;
   size_t first, located; /* queries whose directions are known: first .. located - 1 */
+  texel_rows rows;
+  uint64_t asked; /* bit k % 64: the rows at hand have been asked for in a cluster k */
   uint8_t light_run[BATCH], view_run[BATCH];
   btf_interp light[BATCH], view[BATCH];
 } batch_front;
+
+static uint32_t bits_of(const float *value) {
+  uint32_t bits;
+  memcpy(&bits, value, sizeof bits);
+  return bits;
+}
 
 /* Locates `count` directions from `first` on, each run of equal ones once; run[i] is the place of the i-th.
  */
 static void locate_runs(const btfi_lpca_state *s, const btf_dirset *set, const float *const direction[3],
                         size_t first, uint32_t count, uint8_t *run, btf_interp *out) {
-  float xyz[3][BATCH];
-  uint32_t runs = 0;
-  for (uint32_t i = 0; i < count; i++) {
-    bool repeats = i > 0;
-    for (int k = 0; k < 3; k++) {
-      /* The place stays free when it repeats the one before. */
-      xyz[k][runs] = direction[k][first + i];
-      repeats = repeats && memcmp(&xyz[k][runs], &xyz[k][runs - 1], sizeof(float)) == 0;
-    }
-    runs += !repeats;
+  const float *const x = direction[0] + first, *const y = direction[1] + first,
+                     *const z = direction[2] + first;
+  uint32_t differs[BATCH], runs = 1;
+  differs[0] = 0;
+  run[0] = 0;
+  for (uint32_t i = 1; i < count; i++)
+    differs[i] = (bits_of(x + i) ^ bits_of(x + i - 1)) | (bits_of(y + i) ^ bits_of(y + i - 1)) |
+                 (bits_of(z + i) ^ bits_of(z + i - 1));
+  for (uint32_t i = 1; i < count; i++) {
+    runs += differs[i] != 0;
     run[i] = (uint8_t)(runs - 1);
+  }
+  if (runs == count) {
+    s->host->dirset_locate_n(set, count, x, y, z, out);
+    return;
+  }
+  float xyz[3][BATCH];
+  for (uint32_t i = 0; i < count; i++) {
+    xyz[0][run[i]] = x[i];
+    xyz[1][run[i]] = y[i];
+    xyz[2][run[i]] = z[i];
   }
   s->host->dirset_locate_n(set, runs, xyz[0], xyz[1], xyz[2], out);
 }
@@ -118,27 +176,23 @@ static void locate_more(batch_front *front) {
   locate_runs(s, s->view_set, front->batch->view, front->first, count, front->view_run, front->view);
 }
 
-/* Into the second level of the cache: the first is too small for the rows of several queries. */
-static void prefetch(const btfi_lpca_state *s, const btfi_lpca_taps *t) {
-  uint32_t seen = UINT32_MAX;
+/* Into the second level of the cache: the first is too small for the rows of several queries. Rows that
+ * queries just before have asked for are on their way. */
+static void prefetch(batch_front *front, const btfi_lpca_taps *t, bool rows_are_new) {
+  const btfi_lpca_state *s = front->state;
+  const uint64_t row_bytes = s->layout.row_data_bytes;
+  if (rows_are_new) front->asked = 0;
   for (uint32_t i = 0; i < t->texels; i++) {
+    const uint64_t bit = UINT64_C(1) << t->cluster[i] % 64;
     __builtin_prefetch(t->weights[i], 0, 2);
-    if (t->cluster[i] == seen) continue;
-    seen = t->cluster[i];
-    const unsigned char *factors = s->factors + seen * s->layout.cluster_bytes;
-    for (uint32_t r = 0; r < t->rows; r++)
-      for (uint64_t at = 0; at < s->layout.row_data_bytes; at += 64)
-        __builtin_prefetch(factors + t->row[r] + at, 0, 2);
+    if ((front->asked & bit) != 0) continue;
+    front->asked |= bit;
+    const unsigned char *factors = s->factors + t->cluster[i] * s->layout.cluster_bytes;
+    for (uint32_t r = 0; r < t->rows; r++) {
+      __builtin_prefetch(factors + t->row[r], 0, 2);
+      for (uint64_t at = 64; at < row_bytes; at += 64) __builtin_prefetch(factors + t->row[r] + at, 0, 2);
+    }
   }
-}
-
-/* What the query before uses is on its way. */
-static bool same_places(const btfi_lpca_taps *a, const btfi_lpca_taps *b) {
-  uint64_t differences = (a->rows ^ b->rows) | (a->texels ^ b->texels);
-  if (differences != 0) return false;
-  for (uint32_t r = 0; r < a->rows; r++) differences |= a->row[r] ^ b->row[r];
-  for (uint32_t i = 0; i < a->texels; i++) differences |= a->cluster[i] ^ b->cluster[i];
-  return differences == 0;
 }
 
 static void tap_query(batch_front *front, size_t q, btfi_lpca_taps *ring) {
@@ -147,25 +201,32 @@ static void tap_query(batch_front *front, size_t q, btfi_lpca_taps *ring) {
   const float uv[2] = {batch->uv[0][q], batch->uv[1][q]}, lod = batch->lod != NULL ? batch->lod[q] : 0.0f;
   const btfi_lpca_taps *before = &ring[(q + RING - 1) % RING];
   btfi_lpca_taps *t = &ring[q % RING];
-  const int nearest = (batch->flags & BTF_QUERY_NEAREST) != 0;
-  tap_texels(s, uv, lod, nearest, t);
-  if (nearest) {
+  bool rows_are_new = true;
+  if ((batch->flags & BTF_QUERY_NEAREST) != 0) {
     const float light[3] = {batch->light[0][q], batch->light[1][q], batch->light[2][q]};
     const float view[3] = {batch->view[0][q], batch->view[1][q], batch->view[2][q]};
+    tap_nearest(s, uv, lod, t);
     tap_row(s, s->host->dirset_nearest(s->light_set, light), s->host->dirset_nearest(s->view_set, view), t);
   } else {
     if (q == front->located) locate_more(front);
     const size_t i = q - front->first;
     const uint8_t *light_run = front->light_run + i, *view_run = front->view_run + i;
+    tap_texels(s, uv, lod, &front->rows, t);
     if (i > 0 && light_run[0] == light_run[-1] && view_run[0] == view_run[-1]) {
       memcpy(t->row, before->row, sizeof t->row);
       memcpy(t->row_weight, before->row_weight, sizeof t->row_weight);
       t->rows = before->rows;
+      rows_are_new = false;
     } else {
       tap_directions(s, &front->light[*light_run], &front->view[*view_run], t);
     }
   }
-  if (q == 0 || !same_places(t, before)) prefetch(s, t);
+  if (rows_are_new && q > 0 && t->rows == before->rows) {
+    uint64_t differences = 0;
+    for (uint32_t r = 0; r < t->rows; r++) differences |= t->row[r] ^ before->row[r];
+    rows_are_new = differences != 0;
+  }
+  prefetch(front, t, rows_are_new);
 }
 
 void btfi_lpca_eval_n(const void *state, const btf_batch *batch, float *const *out) {
@@ -173,7 +234,7 @@ void btfi_lpca_eval_n(const void *state, const btf_batch *batch, float *const *o
   float values[LPCA_MAX_CHANNELS];
   btfi_lpca_taps ring[RING];
   memset(ring, 0, sizeof ring);
-  batch_front front = {.state = s, .batch = batch};
+  batch_front front = {.state = s, .batch = batch, .rows = {.level = UINT32_MAX}};
   size_t tapped = 0;
   for (size_t q = 0; q < batch->count; q++) {
     for (; tapped < batch->count && tapped <= q + PREFETCH_AHEAD; tapped++) tap_query(&front, tapped, ring);

@@ -67,6 +67,24 @@ INLINE float total_of(__m256 a) {
     }                                                                                                        \
     return sum3(d0, d1, d2);                                                                                 \
   }                                                                                                          \
+  /* The same for the one vector of up to LPCA_LANES components, and the means beside it in one go: every    \
+   * weight and address is fetched once. */                                                                  \
+  INLINE __m128 short_##storage(const unsigned char *factors, const btfi_lpca_taps *t, uint64_t second,      \
+                                uint64_t means, __m256 weight, __m128 mean_weight) {                         \
+    __m256 a0 = _mm256_setzero_ps(), a1 = a0, a2 = a0;                                                       \
+    __m128 m = _mm_setzero_ps();                                                                             \
+    for (uint32_t r = 0; r < t->rows; r++) {                                                                 \
+      const __m256 w = _mm256_broadcast_ss(&t->row_weight[r]);                                               \
+      const unsigned char *row = factors + t->row[r];                                                        \
+      a0 = _mm256_fmadd_ps(w, read_##storage(row), a0);                                                      \
+      a1 = _mm256_fmadd_ps(w, read_##storage(row + second), a1);                                             \
+      a2 = _mm256_fmadd_ps(w, read_##storage(row + 2 * second), a2);                                         \
+      m = _mm_fmadd_ps(_mm256_castps256_ps128(w), read4_##value(row + means), m);                            \
+    }                                                                                                        \
+    return _mm_fmadd_ps(                                                                                     \
+        mean_weight, m,                                                                                      \
+        sum3(_mm256_mul_ps(a0, weight), _mm256_mul_ps(a1, weight), _mm256_mul_ps(a2, weight)));              \
+  }                                                                                                          \
   INLINE __m128 means_##storage(const unsigned char *means, const btfi_lpca_taps *t) {                       \
     __m128 m = _mm_setzero_ps();                                                                             \
     for (uint32_t r = 0; r < t->rows; r++)                                                                   \
@@ -93,15 +111,21 @@ INLINE float total_of(__m256 a) {
       const __m256 mine = _mm256_and_ps(_mm256_castsi256_ps(same), texel_weights);                           \
       left &= ~(uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(same));                                      \
       _mm256_store_ps(own, mine);                                                                            \
+      const float total = total_of(mine);                                                                    \
+      const __m128 mean_weight = _mm_set1_ps(total * scale[padded]);                                         \
+      __m256 v = _mm256_setzero_ps();                                                                        \
       for (uint32_t j = 0; j < padded; j += LPCA_LANES) {                                                    \
-        __m256 v = _mm256_setzero_ps();                                                                      \
+        v = _mm256_setzero_ps();                                                                             \
         for (uint32_t i = 0; i < t->texels; i++)                                                             \
           v = _mm256_fmadd_ps(_mm256_broadcast_ss(&own[i]),                                                  \
                               read_##value(t->weights[i] + (size_t)j * (value_bytes)), v);                   \
-        _mm256_store_ps(weight + j, _mm256_mul_ps(v, _mm256_loadu_ps(scale + j)));                           \
+        v = _mm256_mul_ps(v, _mm256_loadu_ps(scale + j));                                                    \
+        _mm256_store_ps(weight + j, v);                                                                      \
       }                                                                                                      \
-      const float total = total_of(mine);                                                                    \
-      const __m128 mean_weight = _mm_set1_ps(total * scale[padded]);                                         \
+      if (channels == 3 && padded == LPCA_LANES) {                                                           \
+        rgb = _mm_add_ps(rgb, short_##storage(factors, t, step, s->layout.mean_at, v, mean_weight));         \
+        continue;                                                                                            \
+      }                                                                                                      \
       const unsigned char *means = factors + s->layout.mean_at;                                              \
       if (channels == 3) {                                                                                   \
         const __m128 dots = three_##storage(factors, t, step, 2 * step, weight, padded);                     \

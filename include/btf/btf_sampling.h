@@ -74,17 +74,15 @@ static inline void btf_sampling_linear(float u, uint32_t size, uint32_t wrap, ui
   const uint32_t before = wrap == (uint32_t)BTF_WRAP_CLAMP ? 0u : size - 1u;
   const double offset = position - (double)texel - 0.5; /* from the centre, -0.5 .. 0.5 */
   const double below_float = (double)size * (1.0 / 16777216.0);
-  if (offset < -below_float) {
-    index[0] = texel > 0u ? texel - 1u : before;
-    index[1] = texel;
-    weight[0] = (float)-offset;
-    weight[1] = 1.0f - weight[0];
-  } else {
-    index[0] = texel;
-    index[1] = texel + 1u < size ? texel + 1u : past;
-    weight[1] = offset > below_float ? (float)offset : 0.0f;
-    weight[0] = 1.0f - weight[1];
-  }
+  /* Choices instead of branches: neighbouring pixels fall on either side of a centre. */
+  const int below = offset < -below_float;
+  const uint32_t left = texel > 0u ? texel - 1u : before, right = texel + 1u < size ? texel + 1u : past;
+  const float distance = (float)(below ? -offset : offset);
+  const float away = below || offset > below_float ? distance : 0.0f;
+  index[0] = below ? left : texel;
+  index[1] = below ? texel : right;
+  weight[0] = below ? away : 1.0f - away;
+  weight[1] = below ? 1.0f - away : away;
 }
 
 /** Four texels around (u, v) and their weights. */
