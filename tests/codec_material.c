@@ -94,6 +94,8 @@ static btf_status fill_resident(source *from, const codec_dataset_recipe *recipe
   s->y = s->x * (ptrdiff_t)desc->width;
   desc->data = from->samples;
   (void)read_block(from, &all, from->samples, s);
+  const uint64_t count = codec_material_samples(recipe->material, from->channels);
+  for (uint64_t i = 0; recipe->scale != 0.0f && i < count; i++) from->samples[i] *= recipe->scale;
   if (recipe->odd_sample != 0) from->samples[recipe->odd_sample - 1] = recipe->odd;
   return BTF_OK;
 }

@@ -18,7 +18,7 @@ btf_context *rule_context(test_memory *memory, const char *isa, uint32_t threads
 
 btf_model *rule_fit(btf_context *ctx, const codec_case *row, uint32_t material, uint32_t channels,
                     const char *extra) {
-  const codec_dataset_recipe recipe = {material, channels, SOURCE_RESIDENT, 0, 0.0f};
+  const codec_dataset_recipe recipe = {material, channels, SOURCE_RESIDENT, 0, 0.0f, 0.0f};
   btf_model *model;
   const btf_status status = codec_case_fit(ctx, row, &recipe, extra, NULL, &model);
   if (status == BTF_E_UNSUPPORTED && row->unsupported & 1u << material) {
@@ -153,6 +153,27 @@ void rule_errors(const btf_model *model, uint32_t material, uint32_t level, doub
         }
   *rms = sqrt(square / count);
   *rmse = sqrt(error / count);
+}
+
+double rule_scaled_error(const btf_model *model, uint32_t material, double scale) {
+  const btf_model_info info = rule_describe(model);
+  const codec_material *m = &codec_materials[material];
+  double square = 0.0, error = 0.0;
+  for (uint32_t view = 0; view < btf_dirset_count(info.views); view++)
+    for (uint32_t light = 0; light < btf_dirset_count(info.lights); light++)
+      for (uint32_t y = 0; y < info.height; y++)
+        for (uint32_t x = 0; x < info.width; x++) {
+          float got[RULE_CHANNELS];
+          btf_model_texel(model, 0, x, y, light, view, got);
+          for (uint32_t c = 0; c < info.channels; c++) {
+            const double expected =
+                (double)codec_material_value(m, btf_dirset_directions(info.lights) + 3 * (size_t)light,
+                                             btf_dirset_directions(info.views) + 3 * (size_t)view, x, y, c);
+            square += expected * expected;
+            error += (got[c] / scale - expected) * (got[c] / scale - expected);
+          }
+        }
+  return sqrt(error / square);
 }
 
 double rule_difference(const btf_model *a, const btf_model *b) {

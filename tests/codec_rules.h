@@ -33,6 +33,9 @@ btf_model_info rule_describe(const btf_model *model);
 double rule_largest(const btf_model *model);
 /* Root mean square of the data of a level, and of the difference of the decoded samples. */
 void rule_errors(const btf_model *model, uint32_t material, uint32_t level, double *rms, double *rmse);
+/* The error of level 0 relative to the data, of a model of the material whose samples were multiplied by
+ * scale. */
+double rule_scaled_error(const btf_model *model, uint32_t material, double scale);
 /* Largest difference of the two models over many queries inside the domain. */
 double rule_difference(const btf_model *a, const btf_model *b);
 /* Fails unless both evaluate every query of the list to the same bits. */

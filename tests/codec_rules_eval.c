@@ -247,8 +247,8 @@ static void samples_are_met(const codec_case *row) {
 /* Between the samples a model is close to the data interpolated. The grids are coarse, so that methods which
  * interpolate otherwise may differ by some hundredths. */
 static void interpolation_follows_the_data(const codec_case *row) {
-  const codec_dataset_recipe recipe = {MATERIAL_SMOOTH, codec_case_channels(row, 3), SOURCE_RESIDENT, 0,
-                                       0.0f};
+  const codec_dataset_recipe recipe = {
+      MATERIAL_SMOOTH, codec_case_channels(row, 3), SOURCE_RESIDENT, 0, 0.0f, 0.0f};
   test_memory memory;
   btf_context *ctx = rule_context(&memory, NULL, 2);
   btf_model *model = rule_fit(ctx, row, MATERIAL_SMOOTH, recipe.channels, NULL), *raw;

@@ -37,7 +37,8 @@ static int32_t give_up(void *user, double fraction, const char *stage) {
 
 /* Fits the smallest material: it must work or be refused, with reasons. */
 static void fit_with(btf_context *ctx, const codec_case *row, const char *name, const char *value) {
-  const codec_dataset_recipe recipe = {MATERIAL_TINY, codec_case_channels(row, 1), SOURCE_RESIDENT, 0, 0.0f};
+  const codec_dataset_recipe recipe = {MATERIAL_TINY, codec_case_channels(row, 1), SOURCE_RESIDENT, 0, 0.0f,
+                                       0.0f};
   btf_job job = BTF_JOB_INIT;
   patience waiting;
   btf_model *model;
@@ -142,7 +143,7 @@ static void parameter_bounds(const codec_case *row) {
 
 static btf_model *fit_job(btf_context *ctx, const codec_case *row, uint32_t material, uint32_t source,
                           uint64_t seed) {
-  const codec_dataset_recipe recipe = {material, codec_case_channels(row, 1), source, 0, 0.0f};
+  const codec_dataset_recipe recipe = {material, codec_case_channels(row, 1), source, 0, 0.0f, 0.0f};
   btf_job job = BTF_JOB_INIT;
   btf_model *model;
   job.seed = seed;
@@ -217,7 +218,8 @@ static void samples_must_be_finite(const codec_case *row) {
   const uint64_t places[] = {1, count / 2, count};
   for (int i = 0; i < 3; i++)
     for (int k = 0; k < 3; k++) {
-      const codec_dataset_recipe recipe = {MATERIAL_SMOOTH, channels, SOURCE_RESIDENT, places[i], odd[k]};
+      const codec_dataset_recipe recipe = {MATERIAL_SMOOTH, channels, SOURCE_RESIDENT,
+                                           places[i],       odd[k],   0.0f};
       btf_model *model;
       assert_status(codec_case_fit(ctx, row, &recipe, NULL, NULL, &model), BTF_E_CORRUPT);
       assert_null(model);
@@ -230,7 +232,7 @@ static void channels_it_cannot_take(const codec_case *row) {
   btf_context *ctx = rule_context(&memory, NULL, 2);
   const btf_codec *codec = btf_codec_find(ctx, row->codec);
   for (uint32_t channels = 1; channels <= 4; channels++) {
-    const codec_dataset_recipe recipe = {MATERIAL_TINY, channels, SOURCE_RESIDENT, 0, 0.0f};
+    const codec_dataset_recipe recipe = {MATERIAL_TINY, channels, SOURCE_RESIDENT, 0, 0.0f, 0.0f};
     btf_model *model;
     const btf_status status = codec_case_fit(ctx, row, &recipe, NULL, NULL, &model);
     if (channels != 3 && btf_codec_caps(codec) & BTF_CAP_RGB_ONLY)
@@ -258,8 +260,8 @@ static int32_t report(void *user, double fraction, const char *stage) {
 }
 
 static void progress_and_cancelling(const codec_case *row) {
-  const codec_dataset_recipe recipe = {MATERIAL_SMOOTH, codec_case_channels(row, 1), SOURCE_RESIDENT, 0,
-                                       0.0f};
+  const codec_dataset_recipe recipe = {
+      MATERIAL_SMOOTH, codec_case_channels(row, 1), SOURCE_RESIDENT, 0, 0.0f, 0.0f};
   test_memory memory;
   btf_context *ctx = rule_context(&memory, NULL, 2);
   long calls = 1;
@@ -311,7 +313,7 @@ static uint64_t named_size(void) {
 static void working_set_is_kept(const codec_case *row) {
   static const uint64_t budgets[] = {64 << 10, 512 << 10, 4 << 20};
   const uint32_t channels = codec_case_channels(row, 1);
-  const codec_dataset_recipe recipe = {MATERIAL_LARGE, channels, SOURCE_CONCURRENT, 0, 0.0f};
+  const codec_dataset_recipe recipe = {MATERIAL_LARGE, channels, SOURCE_CONCURRENT, 0, 0.0f, 0.0f};
   for (size_t i = 0; i < sizeof budgets / sizeof *budgets; i++) {
     test_memory memory;
     btf_context *ctx = rule_context(&memory, NULL, 2);
@@ -391,6 +393,45 @@ static void quality_on_demand(const codec_case *row) {
   test_context_done(ctx, &memory);
 }
 
+/* ---- units ---- */
+
+/* Samples in other units give the same model in those units. Powers of two change no bit of a sample, so what
+ * is left are floats that leave their range inside of a fit: 2^50 and 2^-50, about 1e15 and 1e-15, leave room
+ * for squares, while at 2^66 and 2^-83, 7e19 and 1e-25, those are beyond it. A fit may say that it cannot. */
+static void scales(const codec_case *row) {
+  static const int exponents[] = {0, 50, -50, 66, -83};
+  test_memory memory;
+  btf_context *ctx = rule_context(&memory, NULL, 2);
+  btf_options *options;
+  char rmse[64];
+  double at_one = 0.0;
+  assert_ok(codec_case_options(ctx, row, NULL, &options));
+  const double wanted =
+      btf_options_get(options, "rmse", rmse, sizeof rmse) == BTF_OK ? strtod(rmse, NULL) : 0.0;
+  btf_options_release(options);
+  for (size_t i = 0; i < sizeof exponents / sizeof *exponents; i++) {
+    const double scale = ldexp(1.0, exponents[i]);
+    const codec_dataset_recipe recipe = {
+        MATERIAL_SMOOTH, codec_case_channels(row, 3), SOURCE_RESIDENT, 0, 0.0f, (float)scale};
+    btf_model *model;
+    snprintf(rmse, sizeof rmse, "rmse=%.17g", wanted * scale); /* the one option that has a unit */
+    const btf_status status = codec_case_fit(ctx, row, &recipe, wanted > 0.0 ? rmse : NULL, NULL, &model);
+    if (i > 0 && (status == BTF_E_NUMERIC || status == BTF_E_UNSUPPORTED)) {
+      assert_true(strlen(btf_error_message()) > 10 && strchr(btf_error_message(), '\n') == NULL);
+      continue;
+    }
+    if (status != BTF_OK)
+      fail_msg("times 2^%d: %s: %s", exponents[i], btf_status_name(status), btf_error_message());
+    const double error = rule_scaled_error(model, MATERIAL_SMOOTH, scale);
+    if (i == 0) at_one = error;
+    /* As for streamed data: the same quality, though a fit may go other ways. */
+    if (!(fabs(error - at_one) <= 1e-5 + 1e-3 * at_one))
+      fail_msg("times 2^%d: relative error %.6g, times 1 %.6g", exponents[i], error, at_one);
+    btf_model_release(model);
+  }
+  test_context_done(ctx, &memory);
+}
+
 const codec_rule codec_fit_rules[] = {
     {"unknown parameters", unknown_parameters},
     {"parameter bounds", parameter_bounds},
@@ -402,5 +443,6 @@ const codec_rule codec_fit_rules[] = {
     {"progress and cancelling", progress_and_cancelling},
     {"working set is kept", working_set_is_kept},
     {"quality on demand", quality_on_demand},
+    {"scales", scales},
 };
 const size_t codec_fit_rule_count = sizeof codec_fit_rules / sizeof *codec_fit_rules;

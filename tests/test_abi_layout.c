@@ -91,7 +91,7 @@ GROWABLE(btf_param_desc, flags, 72, 72);
 GROWABLE(btf_model_info, texels_per_mm, 136, 136);
 GROWABLE(btf_batch, reserved, 96, 96);
 GROWABLE(btf_svd_desc, reserved, 88, 88);
-GROWABLE(btf_svd_result, residual, 56, 56);
+GROWABLE(btf_svd_result, residual, 56, 64);
 GROWABLE(btf_statistics, peak, 32, 32);
 GROWABLE(btf_codec_vtbl, texel, 120, 128);
 GROWABLE(btf_eval_cost, flops, 40, 40);

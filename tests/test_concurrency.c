@@ -14,8 +14,8 @@ enum { CHANNELS = 4, THREADS = 8, QUERIES = 400 };
 
 /* The model of a row, or for NULL the data set as it stands. */
 static btf_model *make_model(btf_context *ctx, const codec_case *row) {
-  const codec_dataset_recipe recipe = {MATERIAL_SMOOTH, row != NULL ? codec_case_channels(row, 3) : 3,
-                                       SOURCE_RESIDENT, 0, 0.0f};
+  const codec_dataset_recipe recipe = {
+      MATERIAL_SMOOTH, row != NULL ? codec_case_channels(row, 3) : 3, SOURCE_RESIDENT, 0, 0.0f, 0.0f};
   btf_dataset *dataset;
   btf_model *model;
   if (row != NULL) {

@@ -100,6 +100,19 @@ static void check_gram(btf_context *ctx, uint64_t rows, uint32_t columns, double
   free(g);
 }
 
+/* Powers of two change no bit but the exponents', whatever the squares of floats can hold. */
+static void check_scaled_gram(btf_context *ctx, int exponent) {
+  enum { ROWS = 700, COLUMNS = 5 };
+  float *a = random_floats((size_t)ROWS * COLUMNS);
+  double plain[COLUMNS * COLUMNS] = {0.0}, scaled[COLUMNS * COLUMNS] = {0.0};
+  assert_ok(btfi_host()->gram(ctx, ROWS, COLUMNS, a, COLUMNS, plain));
+  for (size_t i = 0; i < (size_t)ROWS * COLUMNS; i++) a[i] = ldexpf(a[i], exponent);
+  assert_ok(btfi_host()->gram(ctx, ROWS, COLUMNS, a, COLUMNS, scaled));
+  for (size_t i = 0; i < (size_t)COLUMNS * COLUMNS; i++)
+    assert_true(scaled[i] == ldexp(plain[i], 2 * exponent));
+  free(a);
+}
+
 static void squares(void **state) {
   test_memory memory;
   btf_context *ctx = test_context(&memory);
@@ -110,10 +123,15 @@ static void squares(void **state) {
   check_gram(ctx, 513, 16, 0.5);
   check_gram(ctx, 20000, 9, 3.0); /* all of one sign: a plain float sum would be off by 1e-4 */
   check_gram(ctx, 60, 130, 0.0);
-  memory.fail_at = memory.total_allocations + 1;
+  check_scaled_gram(ctx, 100);
+  check_scaled_gram(ctx, 127);
+  check_scaled_gram(ctx, -90); /* the least of 3500 values within -1 .. 1 is still a normal number */
   double g[1] = {0.0};
-  const float a[1] = {1.0f};
-  assert_status(btfi_host()->gram(ctx, 1, 1, a, 1, g), BTF_E_NOMEM);
+  const float tiny[1] = {1e-30f};
+  for (long n = 1; n <= 2; n++) { /* the sums of a run, and the run scaled */
+    memory.fail_at = memory.total_allocations + n;
+    assert_status(btfi_host()->gram(ctx, 1, 1, tiny, 1, g), BTF_E_NOMEM);
+  }
   memory.fail_at = 0;
   test_context_done(ctx, &memory);
 }
@@ -199,6 +217,12 @@ static void eigenvectors(void **state) {
     check_eigen(ctx, sizes[i], wide);
   }
   assert_ok(btfi_host()->symmetric_eigen(ctx, 0, NULL, NULL));
+  double one[1] = {2.0};
+  for (long n = 1; n <= 2; n++) { /* work space is the context's */
+    memory.fail_at = memory.total_allocations + n;
+    assert_status(btfi_host()->symmetric_eigen(ctx, 1, one, values), BTF_E_NOMEM);
+  }
+  memory.fail_at = 0;
   assert_status(btfi_host()->symmetric_eigen(ctx, 2, bad, values), BTF_E_NUMERIC);
   test_context_done(ctx, &memory);
 }

@@ -304,6 +304,7 @@ static uint64_t smallest_budget(btf_context *ctx, btf_svd_desc desc) {
   const char *figure = strstr(btf_error_message(), "at least ");
   assert_non_null(figure);
   assert_int_equal(sscanf(figure, "at least %llu bytes", &needed), 1);
+  assert_int_equal(r.least_working_set, needed);
   return needed;
 }
 
@@ -326,6 +327,7 @@ static void test_small_budget(void **state) {
     desc.max_working_set = needed;
     assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
     check_result(&m, &r);
+    assert_int_equal(r.least_working_set, 0);
     check_optimal(&m, &r, 1.001);
     assert_true(r.passes > 1);
     assert_true(m.largest_read <= 8);
@@ -333,6 +335,17 @@ static void test_small_budget(void **state) {
     /* The threads' pool and the residuals' list come on top. */
     const uint64_t result_bytes = (m.items + m.length) * 20 * sizeof(float);
     assert_true(peak - before <= needed + result_bytes + 8192);
+    btfi_svd_free(ctx, &r);
+
+    /* A target starts with fewer components than it may need; what is named is enough for all of them. */
+    desc = describe(&m, 200);
+    desc.target_residual = 1e-9;
+    desc.max_working_set = needed;
+    r = fresh();
+    assert_status(btfi_svd(ctx, &desc, NULL, 0, 1, &r), BTF_E_LIMIT);
+    desc.max_working_set = r.least_working_set;
+    assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
+    assert_int_equal(r.rank, 200);
     btfi_svd_free(ctx, &r);
   }
   matrix_free(&m);

@@ -249,7 +249,9 @@ static btf_status decompose(btfi_laplacian_fitting *f, const btfi_laplacian_band
   if (desc.rank > most) desc.rank = (uint32_t)most;
   f->source.read_level = band->level;
   f->source.read_channel = band->channel;
-  BTF_TRY(f->host->svd(f->ctx, &desc, f->job, from, to, &svd));
+  const btf_status decomposed = f->host->svd(f->ctx, &desc, f->job, from, to, &svd);
+  f->least_for_band = svd.least_working_set;
+  BTF_TRY(decomposed);
   const btf_status status = take_triplets(f, band->level, band->channel, &svd);
   f->host->svd_free(f->ctx, &svd);
   return status;
@@ -367,6 +369,30 @@ static uint32_t stop_level(const btf_dataset_desc *desc, uint32_t components, ui
   return levels;
 }
 
+/* Fails with a working set that is enough for all that follows. Images take a quarter of it at most, bands in
+ * memory two fifths of the rest: 9/20 are left for a decomposition, of which that of level 0 with the most
+ * components needs the most. */
+static btf_status working_set_too_small(btfi_laplacian_fitting *f, const btf_options *options) {
+  const char *const names[4] = {"y", "cb", "cr", "max_components"};
+  const bool target = f->host->option(options, "psnr") > 0.0 || f->host->option(options, "rmse") > 0.0;
+  uint64_t least = f->source.least_working_set;
+  uint32_t rank = 0;
+  for (uint32_t i = target ? 3 : 0; i < (target ? 4 : 3); i++)
+    rank = rank < (uint32_t)f->host->option(options, names[i]) ? (uint32_t)f->host->option(options, names[i])
+                                                               : rank;
+  if (rank > 0) {
+    const btfi_laplacian_band finest = {0, LAPLACIAN_Y, NULL};
+    const double accuracy = f->host->option(options, "accuracy");
+    const btf_status asked = decompose(f, &finest, rank, accuracy, 1, 0.0, 0.0); /* a byte is never enough */
+    if (asked != BTF_E_LIMIT || f->least_for_band == 0 || f->least_for_band > UINT64_MAX / 20) return asked;
+    const uint64_t for_bands = (f->least_for_band * 20 + 8) / 9 + 4;
+    if (least < for_bands) least = for_bands;
+  }
+  return f->host->fail(f->ctx, BTF_E_LIMIT,
+                       "laplacian: a working set of %llu bytes is too small for this data set; %llu would do",
+                       (unsigned long long)f->job->max_working_set, (unsigned long long)least);
+}
+
 static btf_status fit_all(btfi_laplacian_fitting *f, const btf_dataset *ds, const btf_options *options) {
   const btf_host *host = f->host;
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
@@ -386,11 +412,16 @@ static btf_status fit_all(btfi_laplacian_fitting *f, const btf_dataset *ds, cons
   if (f->head.levels > LAPLACIAN_MAX_LEVELS) f->head.levels = LAPLACIAN_MAX_LEVELS;
   const btfi_laplacian_grid grid =
       btfi_laplacian_grid_of(f->head.filter, desc.wrap, f->head.levels, desc.width, desc.height);
-  BTF_TRY(btfi_laplacian_source_open(host, f->ctx, ds, &desc, &grid, f->job->max_working_set, &f->source));
+  btf_status status =
+      btfi_laplacian_source_open(host, f->ctx, ds, &desc, &grid, f->job->max_working_set, &f->source);
+  if (status == BTF_E_LIMIT) return working_set_too_small(f, options);
+  BTF_TRY(status);
   f->mean = host->alloc(f->ctx, 3 * f->source.pairs, sizeof *f->mean);
   if (f->mean == NULL) return BTF_E_NOMEM;
   f->head.squared_error = -1.0;
-  BTF_TRY(decompose_all(f, &desc, options));
+  status = decompose_all(f, &desc, options);
+  if (status == BTF_E_LIMIT && f->least_for_band > 0) return working_set_too_small(f, options);
+  BTF_TRY(status);
   for (uint32_t k = 0; k < f->head.levels; k++)
     for (uint32_t c = 0; c < 3; c++) f->head.count[k][c] = f->factors[k][c].rank;
   if (f->target > 0.0 || target) BTF_TRY(btfi_laplacian_meet_target(f, 0.75, 0.97));

@@ -150,10 +150,11 @@ typedef struct btfi_laplacian_source {
   uint64_t pairs;
   btfi_laplacian_grid grid;
   btfi_laplacian_pyramid *pyramid;
-  uint32_t images;  /* that are read together */
-  uint64_t buffers; /* bytes held */
-  float *rgb;       /* images x 3 planes */
-  float *scratch;   /* of each thread: planes of three channels, then what the pyramid wants */
+  uint32_t images;            /* that are read together */
+  uint64_t buffers;           /* bytes held */
+  uint64_t least_working_set; /* of which one image and the pyramids are the share this takes */
+  float *rgb;                 /* images x 3 planes */
+  float *scratch;             /* of each thread: planes of three channels, then what the pyramid wants */
   uint64_t scratch_floats;
   /* What the low-pass image loses before its decomposition, pairs x 3; NULL = nothing. */
   const float *mean;
@@ -211,10 +212,11 @@ typedef struct btfi_laplacian_fitting {
   btfi_laplacian_source source;
   btfi_laplacian_head head;
   btfi_laplacian_factors factors[LAPLACIAN_MAX_LEVELS][3];
-  float *mean;         /* pairs x 3: what is taken from the low-pass image */
-  float mean_scale[3]; /* largest magnitude of a table's means */
-  double target;       /* squared RGB error, or 0 */
-  double peak;         /* 99.9th percentile of the samples, if a target needs it */
+  float *mean;             /* pairs x 3: what is taken from the low-pass image */
+  float mean_scale[3];     /* largest magnitude of a table's means */
+  uint64_t least_for_band; /* 0, or what the decomposition needs that had too little memory */
+  double target;           /* squared RGB error, or 0 */
+  double peak;             /* 99.9th percentile of the samples, if a target needs it */
 } btfi_laplacian_fitting;
 
 /* Picks counts by greatest reduction of the error per byte until what is decoded meets the target. */

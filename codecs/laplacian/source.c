@@ -24,12 +24,8 @@ btf_status btfi_laplacian_source_open(const btf_host *host, btf_context *ctx, co
       3 * btfi_laplacian_pyramid_floats(out->pyramid) + btfi_laplacian_pyramid_scratch(out->pyramid);
   const uint64_t image_bytes = 3 * texels * sizeof(float);
   const uint64_t fixed = threads * out->scratch_floats * sizeof(float);
-  const uint64_t least = 4 * (fixed + image_bytes);
-  if (max_working_set < least)
-    return host->fail(
-        ctx, BTF_E_LIMIT,
-        "laplacian: a working set of %llu bytes is too small for pyramids of images; %llu would do",
-        (unsigned long long)max_working_set, (unsigned long long)least);
+  out->least_working_set = 4 * (fixed + image_bytes);
+  if (max_working_set < out->least_working_set) return BTF_E_LIMIT; /* the caller knows what else is needed */
   uint64_t most = (max_working_set / 4 - fixed) / image_bytes;
   if (most > IMAGE_BYTES / image_bytes) most = IMAGE_BYTES / image_bytes;
   if (most < threads) most = threads < (max_working_set / 4 - fixed) / image_bytes ? threads : most;

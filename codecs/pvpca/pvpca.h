@@ -78,6 +78,9 @@ float btfi_pvpca_round(uint32_t storage, float value);
 
 /* ---- kernels (kernel_*.c) ---- */
 
+/* A column whose values are all below this is stored as zeros, so that its inverse is finite. */
+#define PVPCA_SMALLEST 1e-37f
+
 /* What one query blends: up to 3 views, of each up to 3 lights and up to 4 texels of 2 levels. */
 typedef struct btfi_pvpca_tap {
   const unsigned char *g[3], *h[8];

@@ -9,11 +9,8 @@
 
 enum { COLUMNS = PVPCA_MAX_TERMS + 1 };
 
-/* A column whose values are all below this is stored as zeros, so that its inverse is finite. */
-#define SMALLEST_SCALE 1e-37f
-
 static float inverse_of(float largest) {
-  return largest > SMALLEST_SCALE ? 1.0f / largest : 0.0f;
+  return largest > PVPCA_SMALLEST ? 1.0f / largest : 0.0f;
 }
 
 /* ---- measuring ---- */
@@ -164,7 +161,7 @@ static btf_status write_weights(btfi_pvpca_fit_job *f, const btfi_pvpca_view *vi
   unsigned char *scales = f->scales + 4 * view->scale_start;
   for (uint32_t j = 0; j < view->columns; j++) {
     const float weight = j < mean ? 1.0f : largest_weight(f, view->terms, j - mean);
-    const float scale = f->largest[j] > SMALLEST_SCALE ? f->largest[j] * weight : 0.0f;
+    const float scale = f->largest[j] > PVPCA_SMALLEST ? f->largest[j] * weight : 0.0f;
     if (!isfinite(scale))
       return f->host->fail(f->ctx, BTF_E_NUMERIC, "pvpca: samples are too large for single precision");
     btf_put_f32(scales + 4 * (size_t)j, scale);

@@ -116,16 +116,34 @@ static btf_status read_centred(btfi_pvpca_fit_job *f, uint32_t view, uint64_t te
 
 /* ---- eigenvectors ---- */
 
+/* Powers of two of the largest magnitudes whose squares a float may sum as they are, as in host->gram. */
+enum { GRAM_LEAST_EXPONENT = -40, GRAM_MOST_EXPONENT = 55 };
+
+/* The power of two that brings the block near 1, or 0 if its squares are fine. */
+static int block_exponent(const float *x, uint64_t n) {
+  float largest = 0.0f;
+  int exponent;
+  for (uint64_t i = 0; i < n; i++) largest = fabsf(x[i]) > largest ? fabsf(x[i]) : largest;
+  if (!(largest > 0.0f) || isinf(largest)) return 0;
+  (void)frexpf(largest, &exponent);
+  return exponent < GRAM_LEAST_EXPONENT || exponent > GRAM_MOST_EXPONENT ? exponent : 0;
+}
+
 /* Of columns: float sums over short runs of rows, in double beyond, as host->gram makes those of rows. */
 static btf_status gram_of_columns(btfi_pvpca_fit_job *f) {
-  const uint64_t squares = (uint64_t)f->side * f->side;
+  const uint64_t squares = (uint64_t)f->side * f->side, values = f->rows * f->columns;
+  const int exponent = block_exponent(f->block, values);
+  const double unit = ldexp(1.0, 2 * exponent);
+  /* The block holds all columns, and has no use for a copy: it is scaled back. */
+  for (uint64_t i = 0; exponent != 0 && i < values; i++) f->block[i] = ldexpf(f->block[i], -exponent);
   for (uint64_t row = 0; row < f->rows; row += GRAM_RUN) {
     const uint64_t run = f->rows - row < GRAM_RUN ? f->rows - row : GRAM_RUN;
     const float *x = f->block + row;
     BTF_TRY(f->host->gemm(f->ctx, BTF_TRANSPOSE_B, f->side, f->side, run, 1.0f, x, f->rows, x, f->rows, 0.0f,
                           f->gram_part, f->side));
-    for (uint64_t i = 0; i < squares; i++) f->gram[i] += (double)f->gram_part[i];
+    for (uint64_t i = 0; i < squares; i++) f->gram[i] += unit * (double)f->gram_part[i];
   }
+  for (uint64_t i = 0; exponent != 0 && i < values; i++) f->block[i] = ldexpf(f->block[i], exponent);
   return BTF_OK;
 }
 
@@ -185,7 +203,7 @@ static btf_status project_columns(btfi_pvpca_fit_job *f, uint32_t view, const fl
       const double g = (double)f->weights[i * terms + j];
       square += g * g;
     }
-    const float norm = (float)sqrt(square), inverse = norm > 1e-30f ? 1.0f / norm : 0.0f;
+    const float norm = (float)sqrt(square), inverse = norm > PVPCA_SMALLEST ? 1.0f / norm : 0.0f;
     for (uint64_t i = 0; i < f->rows; i++) f->weights[i * terms + j] *= inverse;
     for (uint64_t i = 0; i < f->columns; i++)
       f->textures[i * ld + f->layout.has_mean + j] = vectors[i * f->keep + j] * norm;

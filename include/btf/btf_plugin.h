@@ -75,6 +75,9 @@ typedef struct btf_svd_result {
   double *sigma;          /**< rank singular values, descending */
   double energy;          /**< squared Frobenius norm of the matrix */
   double residual;        /**< squared Frobenius error of the truncation */
+  /** 0, or where max_working_set was too small (BTF_E_LIMIT) the least that would do. Filled although the call
+   *  fails, for callers that can give only a share of their own budget and name the whole. */
+  uint64_t least_working_set;
 } btf_svd_result;
 
 /** What one reading of a data set tells. */
@@ -161,7 +164,8 @@ typedef struct btf_host {
   /* Dense linear algebra through BLAS and LAPACK on row-major matrices; absent (BTF_E_UNSUPPORTED) in a build without
    * fitting. They use threads of their own: large problems belong outside of tasks, small ones may be inside.
    * gemm: c (m x n) = alpha op(a) op(b) + beta c, op transposes with BTF_TRANSPOSE_*; k is the inner size.
-   * gram: g (columns x columns, both halves) += a^T a, in float over short runs of rows and in double beyond.
+   * gram: g (columns x columns, both halves) += a^T a, in float over short runs of rows and in double beyond; runs
+   * whose squares a float cannot hold are scaled by a power of two.
    * symmetric_eigen: a (n x n, both halves) becomes eigenvectors, one a row, of descending `values`.
    * cholesky: a (n x n, its lower half) becomes L with a = L L^T; BTF_E_NUMERIC unless it is positive definite.
    * cholesky_solve: solves L L^T x = b for `columns` right sides, b n x columns, in place. */

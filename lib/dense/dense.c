@@ -2,6 +2,7 @@
 #include "dense/dense.h"
 
 #include <limits.h>
+#include <math.h>
 
 #include <cblas.h>
 #include <lapacke.h>
@@ -9,6 +10,9 @@
 #include <btf/btf_plugin.h>
 
 enum { gram_run = 512 }; /* rows whose squares a float may sum: rounding grows with the square root of it */
+/* Powers of two of the largest magnitudes whose squares a run may sum as they are: 2^119 at most, and what is
+ * lost to the smallest float is below 2^-69 of the largest square. */
+enum { gram_least_exponent = -40, gram_most_exponent = 55 };
 
 static bool fits_int(uint64_t n) {
   return n <= INT_MAX;
@@ -26,23 +30,65 @@ btf_status btfi_gemm(btf_context *ctx, uint32_t flags, uint64_t m, uint64_t n, u
   return BTF_OK;
 }
 
+static float largest_magnitude(const float *a, size_t a_ld, int rows, uint32_t columns) {
+  float largest = 0.0f;
+  for (int r = 0; r < rows; r++)
+    for (uint32_t c = 0; c < columns; c++) {
+      const float magnitude = fabsf(a[(size_t)r * a_ld + c]);
+      largest = magnitude > largest ? magnitude : largest;
+    }
+  return largest;
+}
+
+/* The power of two that brings a run near 1, or 0 if its squares are fine. */
+static int run_exponent(const float *a, size_t a_ld, int rows, uint32_t columns) {
+  const float largest = largest_magnitude(a, a_ld, rows, columns);
+  int exponent;
+  if (!(largest > 0.0f) || isinf(largest)) return 0;
+  (void)frexpf(largest, &exponent);
+  return exponent < gram_least_exponent || exponent > gram_most_exponent ? exponent : 0;
+}
+
+static void scale_run(const float *a, size_t a_ld, int rows, uint32_t columns, int exponent, float *dst) {
+  for (int r = 0; r < rows; r++)
+    for (uint32_t c = 0; c < columns; c++)
+      dst[(size_t)r * columns + c] = ldexpf(a[(size_t)r * a_ld + c], -exponent);
+}
+
 btf_status btfi_gram(btf_context *ctx, uint64_t rows, uint32_t columns, const float *a, size_t a_ld,
                      double *g) {
   if (!fits_int(columns) || !fits_int(a_ld))
     return btfi_fail(ctx, BTF_E_LIMIT, "gram: a matrix has more than %d columns", INT_MAX);
   float *part = btfi_alloc(ctx, (uint64_t)columns * columns, sizeof *part);
   if (part == NULL) return btfi_alloc_status();
+  float *scaled = NULL;
+  btf_status status = BTF_OK;
   for (uint64_t first = 0; first < rows; first += gram_run) {
     const int count = (int)BTFI_MIN((uint64_t)gram_run, rows - first);
-    cblas_ssyrk(CblasRowMajor, CblasLower, CblasTrans, (int)columns, count, 1.0f, a + first * a_ld, (int)a_ld,
-                0.0f, part, (int)columns);
+    const float *run = a + first * a_ld;
+    size_t run_ld = a_ld;
+    const int exponent = run_exponent(run, a_ld, count, columns);
+    if (exponent != 0) {
+      if (scaled == NULL) scaled = btfi_alloc(ctx, (uint64_t)gram_run * columns, sizeof *scaled);
+      if (scaled == NULL) {
+        status = btfi_alloc_status();
+        break;
+      }
+      scale_run(run, a_ld, count, columns, exponent, scaled);
+      run = scaled;
+      run_ld = columns;
+    }
+    cblas_ssyrk(CblasRowMajor, CblasLower, CblasTrans, (int)columns, count, 1.0f, run, (int)run_ld, 0.0f,
+                part, (int)columns);
+    const double unit = ldexp(1.0, 2 * exponent);
     for (size_t i = 0; i < columns; i++)
-      for (size_t j = 0; j <= i; j++) g[i * columns + j] += (double)part[i * columns + j];
+      for (size_t j = 0; j <= i; j++) g[i * columns + j] += unit * (double)part[i * columns + j];
   }
   for (size_t i = 0; i < columns; i++)
     for (size_t j = 0; j < i; j++) g[j * columns + i] = g[i * columns + j];
+  btfi_free(ctx, scaled);
   btfi_free(ctx, part);
-  return BTF_OK;
+  return status;
 }
 
 btf_status btfi_symmetric_eigen(btf_context *ctx, uint32_t n, double *a, double *values) {
@@ -51,8 +97,22 @@ btf_status btfi_symmetric_eigen(btf_context *ctx, uint32_t n, double *a, double 
     return btfi_fail(ctx, BTF_E_LIMIT, "eigenvectors: a matrix has more than %d rows", INT_MAX);
   for (size_t i = 0; i < (size_t)n * n; i++)
     if (!(a[i] - a[i] == 0.0)) return btfi_fail(ctx, BTF_E_NUMERIC, "eigenvectors: a matrix is not finite");
+  /* What dsyevd documents as enough, as the context's memory. */
+  const uint64_t reals = 1 + 6 * (uint64_t)n + 2 * (uint64_t)n * n, integers = 3 + 5 * (uint64_t)n;
+  if (!fits_int(reals))
+    return btfi_fail(ctx, BTF_E_LIMIT, "eigenvectors: a matrix of %u rows is too large for LAPACK", n);
+  double *const work = btfi_alloc(ctx, reals, sizeof *work);
+  lapack_int *const counts = work != NULL ? btfi_alloc(ctx, integers, sizeof *counts) : NULL;
+  lapack_int info = 0;
   /* Column-major, the vectors are columns, which are rows here; LAPACK sorts upwards. */
-  if (LAPACKE_dsyevd(LAPACK_COL_MAJOR, 'V', 'L', (lapack_int)n, a, (lapack_int)n, values) != 0)
+  if (counts != NULL)
+    info = LAPACKE_dsyevd_work(LAPACK_COL_MAJOR, 'V', 'L', (lapack_int)n, a, (lapack_int)n, values, work,
+                               (lapack_int)reals, counts, (lapack_int)integers);
+  const btf_status status = counts != NULL ? BTF_OK : btfi_alloc_status();
+  btfi_free(ctx, counts);
+  btfi_free(ctx, work);
+  BTFI_TRY(status);
+  if (info != 0)
     return btfi_fail(ctx, BTF_E_NUMERIC, "eigenvectors: LAPACK found none of a matrix of %u rows", n);
   for (size_t i = 0, j = n - 1; i < j; i++, j--) {
     const double value = values[i];
@@ -66,7 +126,9 @@ btf_status btfi_symmetric_eigen(btf_context *ctx, uint32_t n, double *a, double 
 btf_status btfi_cholesky(btf_context *ctx, uint32_t n, double *a) {
   if (n == 0) return BTF_OK;
   if (!fits_int(n)) return btfi_fail(ctx, BTF_E_LIMIT, "cholesky: a matrix has more than %d rows", INT_MAX);
-  if (LAPACKE_dpotrf(LAPACK_ROW_MAJOR, 'L', (lapack_int)n, a, (lapack_int)n) != 0)
+  /* The lower half by rows is the upper half by columns, and L is U^T: LAPACKE would transpose rows into a
+   * second matrix that the context does not know of. */
+  if (LAPACKE_dpotrf(LAPACK_COL_MAJOR, 'U', (lapack_int)n, a, (lapack_int)n) != 0)
     return btfi_fail(ctx, BTF_E_NUMERIC, "cholesky: a matrix of %u rows is not positive definite", n);
   return BTF_OK;
 }

@@ -93,11 +93,13 @@ static btf_status make_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t
       block = run;
     }
   }
-  if (!fits)
+  if (!fits) {
+    plan->least_bytes = bytes;
     return btfi_fail(ctx, BTF_E_LIMIT,
                      "svd: a working set of %" PRIu64 " bytes is too small for %u components of %" PRIu64
                      " x %" PRIu64 " values; at least %" PRIu64 " bytes are needed",
                      desc->max_working_set, rank, desc->items, desc->length, bytes);
+  }
   plan->run_items = (uint32_t)run;
   /* The second image is worth its room where the sample keeps three quarters of it. */
   plan->refine = true;
@@ -353,7 +355,12 @@ static btf_status decompose(svd_state *s, btf_svd_result *out) {
   const double target = s->desc->target_residual;
   uint32_t rank = target > 0 ? BTFI_MIN(s->largest_rank, (uint32_t)FIRST_TARGET_RANK) : s->largest_rank;
   for (;;) {
-    BTFI_TRY(make_plan(s->ctx, s->desc, rank, &s->plan));
+    const btf_status planned = make_plan(s->ctx, s->desc, rank, &s->plan);
+    if (planned != BTF_OK) {
+      /* With what this rank needs a target might fail at the next one: tell what is enough for all. */
+      if (rank < s->largest_rank) (void)make_plan(s->ctx, s->desc, s->largest_rank, &s->plan);
+      return planned;
+    }
     BTFI_TRY(begin_state(s));
     btfi_random_seed(&s->random, s->desc->seed);
     const uint32_t passes = s->passes;
@@ -452,6 +459,10 @@ btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *user, const btf_job *j
   if (status == BTF_OK)
     status = btfi_copy_out(ctx, "btf_svd_result", out, BTFI_SIZE_TO(btf_svd_result, residual), &result,
                            sizeof result);
-  if (status != BTF_OK) btfi_svd_free(ctx, &result);
+  if (status == BTF_OK) return BTF_OK;
+  btfi_svd_free(ctx, &result);
+  nothing.least_working_set = s.plan.least_bytes;
+  (void)btfi_copy_out(ctx, "btf_svd_result", out, BTFI_SIZE_TO(btf_svd_result, residual), &nothing,
+                      sizeof nothing);
   return status;
 }

@@ -18,6 +18,7 @@ typedef struct svd_plan {
   bool held;              /* the whole matrix stays in memory after the first reading */
   bool refine;            /* there is room for the images of two bases */
   uint64_t bytes;         /* all of it, beside the result */
+  uint64_t least_bytes;   /* 0, or the least that would do where the budget does not */
 } svd_plan;
 
 typedef struct svd_state {

@@ -59,7 +59,7 @@ static void fit_all(void) {
     if (strcmp(row->codec, FUZZ_CODEC) != 0) continue;
     for (size_t k = 0; k < sizeof materials / sizeof *materials; k++) {
       const uint32_t channels = codec_case_channels(row, k == 0 ? 3 : 1);
-      const codec_dataset_recipe recipe = {materials[k], channels, SOURCE_RESIDENT, 0, 0.0f};
+      const codec_dataset_recipe recipe = {materials[k], channels, SOURCE_RESIDENT, 0, 0.0f, 0.0f};
       btf_model *model;
       const btf_status status = codec_case_fit(ctx, row, &recipe, NULL, NULL, &model);
       if (status == BTF_E_UNSUPPORTED && row->unsupported & 1u << materials[k]) continue;

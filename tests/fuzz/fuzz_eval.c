@@ -60,8 +60,8 @@ static void set_up(void) {
   }
   for (size_t i = 0; i < codec_case_count; i++) {
     const codec_case *row = &codec_cases[i];
-    const codec_dataset_recipe recipe = {MATERIAL_SMOOTH, codec_case_channels(row, 3), SOURCE_RESIDENT, 0,
-                                         0.0f};
+    const codec_dataset_recipe recipe = {
+        MATERIAL_SMOOTH, codec_case_channels(row, 3), SOURCE_RESIDENT, 0, 0.0f, 0.0f};
     btf_model *model;
     if (strcmp(row->codec, "fmf") == 0 || btf_codec_find(ctx, row->codec) == NULL) continue;
     fuzz_expect(codec_case_fit(ctx, row, &recipe, NULL, NULL, &model) == BTF_OK);
