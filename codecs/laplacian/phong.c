@@ -26,6 +26,9 @@ typedef struct phong_data {
   uint32_t lights, views;
   const float *light_xyz, *view_xyz;
   const double *values;
+  /* A power of two that brings the values near 1: the column of the exponent has their unit and the others
+   * have none, and damping weighs them against each other. */
+  double unit;
 } phong_data;
 
 /* Normal equations J^T J and J^T r over the first n of (ka, kd, ks, log alpha); returns |r|^2. */
@@ -41,8 +44,8 @@ static double normal_equations(const phong_data *d, const btfi_laplacian_phong *
       const double lobe = along > 0.0 ? pow(along, at->alpha) : 0.0;
       logarithm = along > 0.0 ? log(along) : 0.0;
       const double row[4] = {1.0, fmax(0.0, (double)l[2]), lobe, at->ks * at->alpha * lobe * logarithm};
-      const double rest =
-          d->values[3 * ((uint64_t)view * d->lights + light)] - at->ka - at->kd * row[1] - at->ks * lobe;
+      const double rest = d->unit * d->values[3 * ((uint64_t)view * d->lights + light)] - at->ka -
+                          at->kd * row[1] - at->ks * lobe;
       cost += rest * rest;
       for (uint32_t i = 0; i < n; i++) {
         jtr[i] += row[i] * rest;
@@ -92,13 +95,19 @@ btf_status btfi_laplacian_fit_phong(const btf_host *host, btf_context *ctx, cons
                                     const btf_dirset *views, const double *values, btfi_laplacian_phong *out,
                                     double *rms) {
   enum { STEPS = 200 };
+  const uint64_t pairs = (uint64_t)host->dirset_count(lights) * host->dirset_count(views);
+  double largest = 0.0;
+  int exponent = 0;
+  for (uint64_t i = 0; i < pairs; i++) largest = fmax(largest, fabs(values[3 * i]));
+  if (isfinite(largest)) (void)frexp(largest, &exponent);
   const phong_data d = {host,
                         ctx,
                         host->dirset_count(lights),
                         host->dirset_count(views),
                         host->dirset_directions(lights),
                         host->dirset_directions(views),
-                        values};
+                        values,
+                        ldexp(1.0, -exponent)};
   btfi_laplacian_phong best = {0.0, 0.0, 0.0, 1.0};
   double cost, jtj[16], jtr[4], damping = 1e-3;
   BTF_TRY(start(&d, &best, &cost));
@@ -125,7 +134,10 @@ btf_status btfi_laplacian_fit_phong(const btf_host *host, btf_context *ctx, cons
     memcpy(jtr, next_jtr, sizeof jtr);
     damping = fmax(1e-12, damping * 0.1);
   }
+  best.ka = ldexp(best.ka, exponent);
+  best.kd = ldexp(best.kd, exponent);
+  best.ks = ldexp(best.ks, exponent);
   *out = best;
-  *rms = sqrt(cost / ((double)d.lights * d.views));
+  *rms = ldexp(sqrt(cost / ((double)d.lights * d.views)), exponent);
   return BTF_OK;
 }
