@@ -92,7 +92,10 @@ const codec_case codec_cases[] = {
      .channels = ANY,
      .faults = 1,
      .rmse = 5e-3,
-     .level_rmse = 5e-2,
+     /* 32 clusters among 35 texels hold an ABRDF or two each. A texel of a coarser level is projected on
+      * what they span: no farther than the nearest texel, 0.0318 of the norm for averages of this material,
+      * and that texel's own error. */
+     .level_rmse = 0.0318 + 5e-3,
      .isa = 1e-5,
      .threads = 1e-3,
      .streamed = 1e-3,
