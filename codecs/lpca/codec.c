@@ -27,7 +27,7 @@ BTF_PARAM(subspace, BTF_PARAM_INT,
 BTF_PARAM(iterations, BTF_PARAM_INT, "most rounds of assignment and refit", NULL, "60", NULL, 0, 10000);
 BTF_PARAM(restarts, BTF_PARAM_INT, "independent starts, of which the best is kept", NULL, "1", NULL, 1, 100);
 BTF_PARAM(refine, BTF_PARAM_INT, "readings of the data that improve the components of the clusters", NULL,
-          "2", NULL, 0, 20);
+          "1", NULL, 0, 20);
 BTF_PARAM(levels, BTF_PARAM_INT, "levels of detail, 0 = all", NULL, "0", NULL, 0, LPCA_MAX_LEVELS);
 
 static const btf_param_desc *const params[] = {

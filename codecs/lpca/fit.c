@@ -13,7 +13,7 @@
 #define SVD_TOLERANCE 0.01
 /* Rounds stop when one gains less than this share of the error. */
 #define LEAST_GAIN 1e-3
-enum { KMEANS_ROUNDS = 4, GUESS = 8 };
+enum { KMEANS_ROUNDS = 4, GUESS = 8, SMALL_COLUMNS = 4096 };
 
 typedef struct fitting {
   const btf_host *host;
@@ -61,6 +61,24 @@ static uint64_t dimension_bytes(const fitting *f) {
   return sizeof(float) * (f->texels + coarse + f->rows);
 }
 
+/* Names a budget that does. Beside its result, a decomposition holds no more than panels of less than
+ * 4 (size + size / 4 + 32) columns and two blocks of 32 vectors along the longer side of the matrix, and
+ * small matrices of that many columns. */
+static btf_status too_small(const fitting *f, uint64_t size) {
+  const uint64_t columns = size + size / 4 + 32, longer = (f->rows > f->texels ? f->rows : f->texels) + 64;
+  const uint64_t working =
+      sizeof(float) * longer * (4 * columns + 80) + sizeof(double) * columns * (SMALL_COLUMNS + 16 * columns);
+  const uint64_t result = size * dimension_bytes(f);
+  return f->host->fail(
+      f->ctx, BTF_E_LIMIT, "lpca: a subspace of %llu dimensions needs a working set of %llu MiB",
+      (unsigned long long)size, (unsigned long long)(2 * (result > working ? result : working) >> 20) + 1);
+}
+
+/* Dimensions that the components of clusters cannot do without. */
+static uint64_t least_subspace(const fitting *f, uint64_t most) {
+  return f->components + 8u < most ? f->components + 8u : most;
+}
+
 /* The subspace that is asked for, or what a quarter of the budget holds of the default one. */
 static btf_status choose_subspace(fitting *f) {
   const btf_host *host = f->host;
@@ -73,14 +91,11 @@ static btf_status choose_subspace(fitting *f) {
         "lpca: the whole space of this data set has %llu dimensions; set subspace to at most %d",
         (unsigned long long)size, LPCA_MAX_SUBSPACE);
   if (!host->option_is_set(f->options, "subspace")) {
-    const uint64_t least = f->components + 8u < size ? f->components + 8u : size;
+    const uint64_t least = least_subspace(f, size);
     const uint64_t fits = budget / 4 / dimension_bytes(f);
     size = fits < least ? least : fits < size ? fits : size;
   }
-  if (size * dimension_bytes(f) > budget)
-    return host->fail(
-        f->ctx, BTF_E_LIMIT, "lpca: a subspace of %llu dimensions needs a working set of %llu MiB",
-        (unsigned long long)size, (unsigned long long)(2 * size * dimension_bytes(f) >> 20) + 1);
+  if (size * dimension_bytes(f) > budget) return too_small(f, size);
   f->subspace = (uint32_t)size;
   return BTF_OK;
 }
@@ -145,14 +160,23 @@ static btf_status center_points(fitting *f, uint32_t size) {
 static btf_status find_coefficients(fitting *f, double from, double to) {
   const btf_host *host = f->host;
   const uint64_t budget = f->job->max_working_set;
-  const uint64_t result = f->subspace * sizeof(float) * (f->texels + f->rows);
-  const btf_svd_desc desc = {.struct_size = sizeof desc,
-                             .rank = f->subspace,
-                             .tolerance = SVD_TOLERANCE,
-                             .max_working_set = result < budget / 2 ? budget - result : budget / 2,
-                             .seed = f->job->seed};
-  f->svd.struct_size = sizeof f->svd;
-  BTF_TRY(host->svd_dataset(f->ctx, f->ds, NULL, &desc, f->job, from, to, &f->svd));
+  const bool may_shrink = !host->option_is_set(f->options, "subspace");
+  for (;;) {
+    const uint64_t result = f->subspace * sizeof(float) * (f->texels + f->rows);
+    const btf_svd_desc desc = {.struct_size = sizeof desc,
+                               .rank = f->subspace,
+                               .tolerance = SVD_TOLERANCE,
+                               .max_working_set = result < budget / 2 ? budget - result : budget / 2,
+                               .seed = f->job->seed};
+    f->svd.struct_size = sizeof f->svd;
+    const btf_status status = host->svd_dataset(f->ctx, f->ds, NULL, &desc, f->job, from, to, &f->svd);
+    if (status == BTF_OK) break;
+    if (status != BTF_E_LIMIT) return status;
+    /* Refused before any work: what is beside the result was too little. */
+    const uint32_t least = (uint32_t)least_subspace(f, f->subspace);
+    if (!may_shrink || f->subspace == least) return too_small(f, f->subspace);
+    f->subspace = f->subspace - f->subspace / 4 > least ? f->subspace - f->subspace / 4 : least;
+  }
   f->points = f->svd.item_vectors;
   f->vectors = f->svd.element_vectors;
   if (f->svd.rank == 0) {
