@@ -13,6 +13,10 @@
 #define SVD_TOLERANCE 0.01
 /* Rounds stop when one gains less than this share of the error. */
 #define LEAST_GAIN 1e-3
+/* Root mean squares of samples for which fourth powers, and sums of them, are floats far from their limits.
+ */
+#define LEAST_SAMPLE 1e-8
+#define LARGEST_SAMPLE 1e7
 enum { KMEANS_ROUNDS = 4, GUESS = 8, SMALL_COLUMNS = 4096 };
 
 typedef struct fitting {
@@ -309,6 +313,12 @@ static btf_status find_clusters(fitting *f, double from, double to) {
   btfi_lpca_model *m = &f->model;
   const uint32_t size = f->svd.rank > 0 ? f->svd.rank : 1;
   if (f->components > size) f->components = size;
+  const double typical = sqrt(f->svd.energy / ((double)f->rows * (double)f->texels));
+  if (typical > 0.0 && !(typical >= LEAST_SAMPLE && typical <= LARGEST_SAMPLE))
+    return f->host->fail(
+        f->ctx, BTF_E_NUMERIC,
+        "lpca: samples of %g on average are beyond what it computes with, %g to %g; scale them", typical,
+        LEAST_SAMPLE, LARGEST_SAMPLE);
   m->points = f->points;
   m->count = f->texels;
   m->size = size;
