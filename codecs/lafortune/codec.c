@@ -16,8 +16,8 @@ BTF_PARAM(lobes, BTF_PARAM_INT, "lobes of each texel; classical kinds have 1 unl
 BTF_PARAM(kind, BTF_PARAM_CHOICE,
           "generalised cosine lobes, diagonal or of a full matrix, or a classical model", NULL, "diagonal",
           kinds, 0, 0);
-BTF_PARAM(colour, BTF_PARAM_CHOICE, "lobes shared by all channels, or each channel its own", NULL,
-          "luminance", colours, 0, 0);
+BTF_PARAM(color, BTF_PARAM_CHOICE, "lobes shared by all channels, or each channel its own", NULL, "luminance",
+          colours, 0, 0);
 BTF_PARAM(storage, BTF_PARAM_CHOICE, "values in the file and while evaluating", NULL, "f16", storages, 0, 0);
 BTF_PARAM(rmse, BTF_PARAM_FLOAT, "largest root mean square error, which picks the lobes; 0 = lobes as given",
           NULL, "0", NULL, 0, INFINITY);
@@ -34,7 +34,7 @@ BTF_PARAM(advise, BTF_PARAM_FLOAT,
           "relative error above which a warning names codecs that suit the material better", NULL, "0.25",
           NULL, 0, INFINITY);
 
-static const btf_param_desc *const params[] = {&lobes,  &kind,       &colour,    &storage, &rmse,   &weights,
+static const btf_param_desc *const params[] = {&lobes,  &kind,       &color,     &storage, &rmse,   &weights,
                                                &starts, &iterations, &tolerance, &levels,  &advise, NULL};
 
 static uint32_t level_count(const void *state) {

@@ -50,7 +50,7 @@ static void read_options(fitting *f, const btf_options *options) {
   const btf_host *host = f->host;
   const uint32_t all_levels = host->mip_count(f->desc.width, f->desc.height);
   f->head.kind = (uint32_t)host->option(options, "kind");
-  f->head.colour = (uint32_t)host->option(options, "colour");
+  f->head.colour = (uint32_t)host->option(options, "color");
   f->head.storage = (uint32_t)host->option(options, "storage");
   f->head.lobes = (uint32_t)host->option(options, "lobes");
   if (f->head.kind > LAF_FULL && !host->option_is_set(options, "lobes")) f->head.lobes = 1;

@@ -14,13 +14,13 @@ enum { QUERIES = 300 };
 static const char *const settings_list[] = {"",
                                             "lobes=1 storage=f32",
                                             "lobes=3 starts=1",
-                                            "lobes=4 colour=channel storage=f32 starts=1",
+                                            "lobes=4 color=channel storage=f32 starts=1",
                                             "kind=full starts=1 iterations=20",
                                             "kind=full lobes=3 storage=f32 starts=1 iterations=10",
                                             "kind=phong starts=1",
                                             "kind=blinn_phong storage=f32",
                                             "kind=ward lobes=2 weights=log starts=1",
-                                            "kind=lewis colour=channel weights=cosine starts=1",
+                                            "kind=lewis color=channel weights=cosine starts=1",
                                             "kind=ward lobes=3 storage=f32 starts=1 iterations=10",
                                             "rmse=0.02 levels=2 starts=1 iterations=20"};
 enum { SETTINGS = sizeof settings_list / sizeof *settings_list };
@@ -290,7 +290,7 @@ static void test_planted_material(void **unused) {
                {"lobes=1 tolerance=1e-8 iterations=200", 4e-3},
                {"lobes=1 weights=cosine storage=f32 tolerance=1e-8 iterations=200", 1e-3},
                {"lobes=1 weights=log storage=f32 tolerance=1e-8 iterations=200", 1e-3},
-               {"lobes=1 colour=channel storage=f32 tolerance=1e-8 iterations=200", 1e-3},
+               {"lobes=1 color=channel storage=f32 tolerance=1e-8 iterations=200", 1e-3},
                {"rmse=0.001 storage=f32 tolerance=1e-8 iterations=200", 1e-3}};
   for (int quantity = BTF_QUANTITY_BRDF; quantity <= BTF_QUANTITY_BRDF_COS; quantity++) {
     material m =
@@ -333,7 +333,7 @@ static void test_sizes(void **unused) {
   assert_int_equal(256 * 256 * layout.values * layout.value_bytes, 2228224);
   double error[2];
   for (int colour = 0; colour < 2; colour++) {
-    btf_model *model = lafortune_fit(ctx, &m, colour ? "colour=channel" : "colour=luminance");
+    btf_model *model = lafortune_fit(ctx, &m, colour ? "color=channel" : "color=luminance");
     const btfi_lafortune_state *s = lafortune_state(model);
     const uint64_t texels = 9 * 6 + 4 * 3 + 2 * 1 + 1;
     assert_int_equal(s->levels, 4);
@@ -407,7 +407,7 @@ static void test_cost(void **unused) {
   btf_context *ctx = test_context(&memory);
   material m = noisy(ctx, "grid:4x2", 2, 2, 3, BTF_QUANTITY_BRDF, BTF_WRAP_PERIODIC);
   const char *const rising[] = {"kind=lewis", "lobes=1",           "lobes=2",
-                                "lobes=3",    "lobes=3 kind=full", "lobes=3 kind=full colour=channel"};
+                                "lobes=3",    "lobes=3 kind=full", "lobes=3 kind=full color=channel"};
   btf_eval_cost cost = BTF_EVAL_COST_INIT, before = BTF_EVAL_COST_INIT;
   for (size_t i = 0; i < sizeof rising / sizeof *rising; i++) {
     btf_model *model = lafortune_fit(ctx, &m, rising[i]);

@@ -107,7 +107,7 @@ static void with_models(check_fn check) {
                {"lobes=3 storage=f32", 3},
                {"kind=full storage=f32", 2},
                {"kind=ward", 3},
-               {"colour=channel", 3},
+               {"color=channel", 3},
                {"lobes=1", 1},
                {"kind=lewis storage=f32", 1}};
   btf_context *ctx = test_context(&memory);
