@@ -135,7 +135,8 @@ enum {
 
 /** f per channel, 1/sr, without the cosine, to out[0 .. channels-1]: 3 lights x 3 views x 4 texels interpolated,
  *  and trilinear between levels (Schwartz 2013, sect. 4 and eq. 5). 0 when light or view is at or below the horizon
- *  (z <= 0) or when anything is not finite. Threads: const. */
+ *  (z <= 0) or when anything is not finite. A truncated sum may fall below 0 near dark samples: values are what the
+ *  method says, and a renderer that cannot bear negative light takes max(0, f). Threads: const. */
 LIBBTF_API void btf_model_eval(const btf_model *model, const btf_query *query, float *out);
 /** The same with the value asked for: BTF_VALUE_*. Threads: const. */
 LIBBTF_API void btf_model_eval_as(const btf_model *model, const btf_query *query, int32_t value, float *out);
