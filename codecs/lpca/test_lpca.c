@@ -421,9 +421,9 @@ static void test_shapes(void **unused) {
     uint32_t width, height, channels;
   } shapes[] = {{"grid:4x2", 5, 3, 1}, {"grid:4x2", 3, 7, 5}, {"grid:3x1", 4, 2, 64}, {"grid:4x2", 1, 1, 3},
                 {"one", 6, 5, 3},      {"one", 1, 1, 1},      {"grid:4x2", 1, 9, 2},  {"grid:3x2", 33, 2, 3}};
-  const char *const settings[] = {"components=64 clusters=2 storage=f32",
-                                  "components=64 clusters=1024 storage=f32", "components=64 clusters=1",
-                                  "components=64 clusters=5 storage=q8 packing=tight"};
+  const char *const settings[] = {
+      "components=64 clusters=2 storage=f32 refine=2", "components=64 clusters=1024 storage=f32 refine=2",
+      "components=64 clusters=1", "components=64 clusters=5 storage=q8 packing=tight"};
   btf_context *ctx = test_context(&memory);
   for (size_t i = 0; i < sizeof shapes / sizeof *shapes; i++)
     for (int image_major = 0; image_major < 2; image_major++) {
