@@ -147,6 +147,23 @@ static btf_status get_scales(loading *l) {
   return BTF_OK;
 }
 
+/* A table of finite values: rows of weight 0 may be read or left out, which only finite values make alike. */
+static btf_status get_table(const loading *l, uint32_t tag, uint32_t index, uint64_t size,
+                            const void **data) {
+  BTF_TRY(get_chunk(l, tag, index, size, data));
+  const bool halves = l->state->head.storage == LAPLACIAN_F16;
+  const uint32_t exponent = halves ? 0x7c00u : 0x7f800000u, bytes = halves ? 2 : 4;
+  uint32_t defects = 0;
+  for (uint64_t at = 0; at + bytes <= size; at += bytes) {
+    uint32_t bits = 0;
+    memcpy(&bits, (const unsigned char *)*data + at, bytes);
+    defects |= (bits & exponent) == exponent;
+  }
+  if (defects != 0)
+    return l->host->fail(l->ctx, BTF_E_CORRUPT, "laplacian: a table holds a value that is not finite");
+  return BTF_OK;
+}
+
 static btf_status load_state(loading *l) {
   btfi_laplacian_state *s = l->state;
   const btf_host *host = l->host;
@@ -165,13 +182,12 @@ static btf_status load_state(loading *l) {
                       "tables would not fit 64 bits",
                       LAPLACIAN_MAX_COMPONENTS);
   BTF_TRY(get_scales(l));
-  /* The tables are the chunks themselves. Their values are not looked at, so that loading takes the same time
-   * whatever their size. */
-  BTF_TRY(get_chunk(l, LAPLACIAN_TAG_EIGEN, 0, s->layout.eigen_bytes, &data));
+  /* The tables are the chunks themselves. */
+  BTF_TRY(get_table(l, LAPLACIAN_TAG_EIGEN, 0, s->layout.eigen_bytes, &data));
   s->eigen = data;
   s->resident = sizeof *s + 3 * (uint64_t)s->scale_stride * sizeof *s->scale + s->layout.eigen_bytes;
   for (uint32_t k = 0; k < s->head.levels; k++) {
-    BTF_TRY(get_chunk(l, LAPLACIAN_TAG_WEIGHTS, k, s->layout.weight_bytes[k], &data));
+    BTF_TRY(get_table(l, LAPLACIAN_TAG_WEIGHTS, k, s->layout.weight_bytes[k], &data));
     s->weights[k] = data;
     s->resident += s->layout.weight_bytes[k];
   }

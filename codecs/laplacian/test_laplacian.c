@@ -98,7 +98,7 @@ static void test_means_of_bands(void **unused) {
       for (uint32_t k = 0; k + 1 < LEVELS; k++) {
         const float *band = planes + btfi_laplacian_pyramid_offset(pyramid, k);
         double mean = 0.0;
-        for (uint32_t t = 0; t < (SIDE >> k) * (SIDE >> k); t++) mean += band[t];
+        for (uint32_t t = 0; t < (uint32_t)((SIDE >> k) * (SIDE >> k)); t++) mean += band[t];
         worst = fmax(worst, fabs(mean) / ((SIDE >> k) * (SIDE >> k)));
       }
     }
