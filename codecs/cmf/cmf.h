@@ -23,6 +23,7 @@ enum {
 };
 /* S and the ratios of terms after the first of each stage. */
 enum { CMF_MAX_SCALES = 1 + CMF_MAX_STAGES * (CMF_MAX_TERMS - 1) };
+enum { CMF_FORMAT = 1 /* of the payload */ };
 enum { CMF_TURN = 256 /* angles of a rotated ABRDF in a full turn */ };
 
 /* Payload chunks. */
@@ -120,7 +121,7 @@ btfi_cmf_blend_fn btfi_cmf_blend_of(uint32_t isa, uint32_t storage, uint32_t cha
 btfi_cmf_blend_fn btfi_cmf_blend_avx2(uint32_t storage, uint32_t channels, uint32_t edge);
 #endif
 
-/* ---- fit (fit.c, texels.c, write.c) ---- */
+/* ---- fit (fit.c, texels.c, write.c, target.c) ---- */
 
 btf_status btfi_cmf_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
                         const btf_options *options, const btf_job *job, btf_chunk_writer *payload);

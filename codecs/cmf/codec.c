@@ -43,8 +43,20 @@ BTF_PARAM(log_floor, BTF_PARAM_FLOAT,
           "least value to take the logarithm of, relative to the largest of the ABRDF", NULL, "0.003", NULL,
           1e-6, 1);
 BTF_PARAM(storage, BTF_PARAM_CHOICE, "values of maps and scales", NULL, "u8", storages, 0, 0);
-BTF_PARAM(codebook, BTF_PARAM_INT, "entries of each factor's codebook; 0 = maps of every texel's own", NULL,
+BTF_PARAM(codebook, BTF_PARAM_INT,
+          "entries of each factor's codebook, unused with psnr or rmse; 0 = maps of every texel's own", NULL,
           "256", NULL, 0, CMF_MAX_CODEBOOK);
+BTF_PARAM(psnr, BTF_PARAM_FLOAT,
+          "least quality, which picks the codebook and if need be more terms of the last stage; peak is the "
+          "99.9th percentile of the data",
+          "dB", "0", NULL, 0, 200);
+BTF_PARAM(rmse, BTF_PARAM_FLOAT, "largest root mean square error, which picks them", NULL, "0", NULL, 0,
+          INFINITY);
+BTF_PARAM(max_codebook, BTF_PARAM_INT,
+          "most entries that psnr or rmse may pick short of maps of every texel's own; 0 = these only", NULL,
+          "4096", NULL, 0, CMF_MAX_CODEBOOK);
+BTF_PARAM(max_terms, BTF_PARAM_INT, "most terms of the last stage that psnr or rmse may pick", NULL, "8",
+          NULL, 1, CMF_MAX_TERMS);
 BTF_PARAM(cluster, BTF_PARAM_CHOICE, "how codebooks are made", NULL, "kmeans", clusterings, 0, 0);
 BTF_PARAM(samples, BTF_PARAM_INT, "texels that codebooks are made from, 0 = all", "texel", "8192", NULL, 0,
           4294967295.0);
@@ -53,8 +65,9 @@ BTF_PARAM(rotate, BTF_PARAM_BOOL, "turn each ABRDF to its direction of maximal a
 BTF_PARAM(levels, BTF_PARAM_INT, "levels of detail, 0 = all", NULL, "0", NULL, 0, CMF_MAX_LEVELS);
 
 static const btf_param_desc *const params[] = {
-    &factors, &chain,  &method,    &residue, &sweeps,   &average, &symmetric, &grid,   &resolution, &edge,
-    &epsilon, &lambda, &log_floor, &storage, &codebook, &cluster, &samples,   &rotate, &levels,     NULL};
+    &factors,    &chain,        &method,    &residue, &sweeps,    &average, &symmetric, &grid,
+    &resolution, &edge,         &epsilon,   &lambda,  &log_floor, &storage, &codebook,  &psnr,
+    &rmse,       &max_codebook, &max_terms, &cluster, &samples,   &rotate,  &levels,    NULL};
 
 static uint32_t level_count(const void *state) {
   return ((const btfi_cmf_state *)state)->levels;
@@ -92,8 +105,8 @@ const btf_codec_vtbl btf_codec_cmf = {
     .version = "1",
     .caps = fit_caps | BTF_CAP_BATCH | BTF_CAP_LOD | BTF_CAP_HARDENED,
     .params = params,
-    .format_read_min = 1,
-    .format_write = 1,
+    .format_read_min = CMF_FORMAT,
+    .format_write = CMF_FORMAT,
 #ifdef LIBBTF_FIT
     .fit = btfi_cmf_fit,
 #endif

@@ -124,10 +124,11 @@ typedef struct btfi_cmf_geometry {
   double invalid;         /* fraction of cells of resampled matrices without a valid pair */
 } btfi_cmf_geometry;
 
-/* BTF_E_LIMIT if the tables would take more than `budget` bytes, naming what would do. */
+/* BTF_E_LIMIT if the tables would take more than `budget` bytes, naming what would do. Progress goes from
+ * `from` to `to`. */
 btf_status btfi_cmf_geometry_create(const btf_host *host, btf_context *ctx, const btfi_cmf_settings *settings,
                                     const btf_dirset *lights, const btf_dirset *views, uint64_t budget,
-                                    btfi_cmf_geometry **out);
+                                    const btf_job *job, double from, double to, btfi_cmf_geometry **out);
 void btfi_cmf_geometry_free(const btf_host *host, btf_context *ctx, btfi_cmf_geometry *geometry);
 
 /* Bytes that factoring needs for one thread. */

@@ -45,12 +45,13 @@ static btf_status read_options(btfi_cmf_fitting *f, const btf_options *options) 
   f->storage = (uint32_t)host->option(options, "storage");
   f->entries = (uint32_t)host->option(options, "codebook");
   f->clustering = (uint32_t)host->option(options, "cluster");
-  f->samples = (uint64_t)host->option(options, "samples");
+  f->wanted_samples = (uint64_t)host->option(options, "samples");
   f->rotate = host->option(options, "rotate") != 0.0;
   f->lambda = host->option(options, "lambda");
   f->floor = host->option(options, "log_floor");
   f->levels = (uint32_t)host->option(options, "levels");
-  if (f->samples == 0) f->samples = UINT32_MAX;
+  if (f->wanted_samples == 0) f->wanted_samples = UINT32_MAX;
+  f->has_target = host->option(options, "psnr") > 0.0 || host->option(options, "rmse") > 0.0;
   return read_chain(f, options);
 }
 
@@ -130,13 +131,14 @@ static btf_status create_hf(btfi_cmf_fitting *f) {
   return f->collected != NULL ? BTF_OK : BTF_E_NOMEM;
 }
 
-static btf_status make_geometry(btfi_cmf_fitting *f, const btf_dataset_desc *desc) {
+btf_status btfi_cmf_prepare_geometry(btfi_cmf_fitting *f, const btf_dataset_desc *desc, double from,
+                                     double to) {
   const btf_host *host = f->host;
   /* Small tables are made in any case: then what all would need is known. */
   const uint64_t small = (uint64_t)64 << 20, table_budget = f->budget > small ? f->budget : small;
   BTF_TRY(btfi_cmf_geometry_create(host, f->ctx, &f->settings, desc->lights, desc->views, table_budget,
-                                   &f->geometry));
-  f->used += f->geometry->bytes;
+                                   f->job, from, to, &f->geometry));
+  f->used = f->geometry->bytes;
   f->factors = f->geometry->factors;
   f->map_values = f->geometry->map_texels * f->channels;
   f->scales = 1;
@@ -152,9 +154,7 @@ static btf_status make_geometry(btfi_cmf_fitting *f, const btf_dataset_desc *des
   return BTF_OK;
 }
 
-/* What reading needs of the working set: an ABRDF, and for averages sums in double and one more for each
- * thread. */
-static uint64_t visit_bytes(const btfi_cmf_fitting *f) {
+uint64_t btfi_cmf_visit_bytes(const btfi_cmf_fitting *f) {
   return (uint64_t)f->pairs * f->channels * (8 + 4 * (f->threads + 1ull));
 }
 
@@ -167,7 +167,7 @@ static uint64_t turn_bytes(const btfi_cmf_fitting *f, uint64_t samples, uint64_t
       btfi_cmf_cluster_bytes(&options, 0, samples, f->map_values, f->threads) + 4 * samples;
   const uint64_t books = f->factors * (4 * (uint64_t)entries * f->map_values + 4 * samples);
   const uint64_t assign = 4 * (uint64_t)f->factors * capacity, most = train > assign ? train : assign;
-  const uint64_t visit = visit_bytes(f);
+  const uint64_t visit = btfi_cmf_visit_bytes(f);
   return books + (search + most > visit ? search + most : visit);
 }
 
@@ -177,7 +177,7 @@ static btf_status make_store(btfi_cmf_fitting *f) {
   const uint64_t least = f->entries < finest ? f->entries : finest;
   f->store_kind = f->storage == CMF_U8 ? CMF_U8 : CMF_F16;
   f->record_bytes = (uint64_t)f->factors * f->map_values * btfi_cmf_value_bytes(f->store_kind);
-  if (f->samples > texels) f->samples = texels;
+  f->samples = f->wanted_samples < texels ? f->wanted_samples : texels;
   f->capacity = texels;
   while (f->capacity * f->record_bytes + turn_bytes(f, f->samples, f->capacity) > btfi_cmf_left(f)) {
     if (f->samples > finest) f->samples = finest;
@@ -197,7 +197,7 @@ static btf_status make_store(btfi_cmf_fitting *f) {
   return f->store != NULL ? BTF_OK : BTF_E_NOMEM;
 }
 
-static btf_status make_room(btfi_cmf_fitting *f) {
+btf_status btfi_cmf_make_room(btfi_cmf_fitting *f) {
   const uint64_t texels = f->level_first[f->levels];
   const uint64_t abrdf = ((uint64_t)f->pairs * f->channels * sizeof(float) + 63) / 64 * 64;
   const uint64_t maps = ((uint64_t)f->factors * f->map_values * sizeof(float) + 63) / 64 * 64;
@@ -208,6 +208,10 @@ static btf_status make_room(btfi_cmf_fitting *f) {
   f->scale = take(f, texels * f->scales * f->channels, sizeof *f->scale);
   if (f->scratch == NULL || f->report == NULL || f->scale == NULL) return BTF_E_NOMEM;
   memset(f->report, 0, f->threads * sizeof *f->report);
+  if (f->has_target) {
+    f->kept_scale = take(f, texels * f->scales * f->channels, sizeof *f->kept_scale);
+    if (f->kept_scale == NULL) return BTF_E_NOMEM;
+  }
   if (f->rotate) {
     f->angle = take(f, texels, 1);
     if (f->angle == NULL) return BTF_E_NOMEM;
@@ -215,9 +219,9 @@ static btf_status make_room(btfi_cmf_fitting *f) {
   }
   if (f->settings.method == CMF_HOMOMORPHIC) BTF_TRY(create_hf(f));
   if (f->entries > 0) return make_store(f);
-  if (btfi_cmf_left(f) >= visit_bytes(f)) return BTF_OK;
+  if (btfi_cmf_left(f) >= btfi_cmf_visit_bytes(f)) return BTF_OK;
   return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: tables and reading need a working set of %llu KiB",
-                       (unsigned long long)((f->used + visit_bytes(f)) >> 10) + 1);
+                       (unsigned long long)((f->used + btfi_cmf_visit_bytes(f)) >> 10) + 1);
 }
 
 static void log_report(const btfi_cmf_fitting *f) {
@@ -243,15 +247,52 @@ static void log_report(const btfi_cmf_fitting *f) {
       (double)sum.masked / fmax((double)sum.divided, 1.0));
 }
 
+void btfi_cmf_unprepare(btfi_cmf_fitting *f) {
+  btfi_cmf_geometry_free(f->host, f->ctx, f->geometry);
+  btfi_cmf_hf_free(f->host, f->ctx, f->hf);
+  btfi_cmf_rotation_free(f->host, f->ctx, &f->rotation);
+  void *const arrays[] = {f->scratch, f->report, f->scale, f->kept_scale, f->angle, f->store, f->collected};
+  for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++) f->host->free(f->ctx, arrays[i]);
+  f->geometry = NULL;
+  f->hf = NULL;
+  memset(&f->rotation, 0, sizeof f->rotation);
+  f->scratch = f->angle = f->store = NULL;
+  f->report = NULL;
+  f->scale = f->kept_scale = f->collected = NULL;
+  f->has_records = false;
+  f->used = 0;
+}
+
+/* The squared error to reach, from the data's own peak. */
+static btf_status set_target(btfi_cmf_fitting *f, const btf_options *options, double to) {
+  const btf_host *host = f->host;
+  const double psnr = host->option(options, "psnr"), rmse = host->option(options, "rmse");
+  const double samples = (double)f->level_first[1] * f->pairs * f->channels;
+  f->target = rmse > 0.0 ? rmse * rmse * samples : INFINITY;
+  if (psnr > 0.0) {
+    btf_statistics statistics = {.struct_size = sizeof statistics};
+    BTF_TRY(host->measure(f->ctx, f->ds, f->budget, NULL, &statistics, f->job, 0.0, to));
+    f->target = fmin(f->target, statistics.peak * statistics.peak * pow(10.0, -psnr / 10.0) * samples);
+  }
+  return BTF_OK;
+}
+
 static btf_status fit_all(btfi_cmf_fitting *f, const btf_options *options) {
+  const double measured = 0.05;
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   BTF_TRY(f->host->dataset_describe(f->ds, &desc));
   BTF_TRY(read_options(f, options));
   BTF_TRY(open_data(f, &desc));
-  BTF_TRY(f->host->progress(f->job, 0.0, "preparing"));
-  BTF_TRY(make_geometry(f, &desc));
-  BTF_TRY(make_room(f));
-  BTF_TRY(btfi_cmf_write(f));
+  if (f->has_target) {
+    BTF_TRY(set_target(f, options, measured));
+    BTF_TRY(btfi_cmf_meet_target(f, &desc, (uint32_t)f->host->option(options, "max_codebook"),
+                                 (uint32_t)f->host->option(options, "max_terms"), measured));
+  } else {
+    BTF_TRY(f->host->progress(f->job, 0.0, "preparing"));
+    BTF_TRY(btfi_cmf_prepare_geometry(f, &desc, 0.0, 0.02));
+    BTF_TRY(btfi_cmf_make_room(f));
+    BTF_TRY(btfi_cmf_write(f, 0.02, 0.98));
+  }
   log_report(f);
   return f->host->progress(f->job, 1.0, "storing");
 }
@@ -268,15 +309,7 @@ btf_status btfi_cmf_fit(const btf_host *host, btf_context *ctx, const btf_datase
   f->payload = payload;
   f->budget = job->max_working_set;
   const btf_status status = fit_all(f, options);
-  btfi_cmf_geometry_free(host, ctx, f->geometry);
-  btfi_cmf_hf_free(host, ctx, f->hf);
-  btfi_cmf_rotation_free(host, ctx, &f->rotation);
-  host->free(ctx, f->scratch);
-  host->free(ctx, f->report);
-  host->free(ctx, f->scale);
-  host->free(ctx, f->angle);
-  host->free(ctx, f->store);
-  host->free(ctx, f->collected);
+  btfi_cmf_unprepare(f);
   host->free(ctx, f);
   return status;
 }

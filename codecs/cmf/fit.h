@@ -43,7 +43,10 @@ typedef struct btfi_cmf_fitting {
   btfi_cmf_settings settings;
   uint32_t storage, clustering, entries; /* entries: of a codebook, 0 = none */
   bool rotate;
-  uint64_t samples; /* texels that codebooks are trained on */
+  uint64_t wanted_samples,
+      samples; /* texels that codebooks are trained on; those of them there is room for */
+  bool has_target;
+  double target; /* squared error of the finest level */
   double lambda, floor;
   uint32_t width, height, channels, lights, views, pairs;
   uint32_t levels;
@@ -68,6 +71,9 @@ typedef struct btfi_cmf_fitting {
   uint32_t store_kind;                                   /* their storage */
   uint64_t record_bytes, capacity;
   uint64_t store_first; /* the record of place 0 */
+  bool to_store;        /* factoring goes to the store, not to `table` */
+  float *kept_scale;    /* with a target: the scales of the records, which all sizes are made from */
+  bool has_records;     /* the store holds all texels, and kept_scale their scales */
   float *collected;     /* HF: ABRDFs */
   uint64_t collect;
 } btfi_cmf_fitting;
@@ -81,7 +87,22 @@ static inline uint64_t btfi_cmf_level_texels(const btfi_cmf_fitting *f, uint32_t
 btf_status btfi_cmf_factor_texels(btfi_cmf_fitting *f, uint32_t level, const btfi_cmf_choice *choice,
                                   double from, double to);
 /* Factors all texels and writes the payload. */
-btf_status btfi_cmf_write(btfi_cmf_fitting *f);
+btf_status btfi_cmf_write(btfi_cmf_fitting *f, double from, double to);
+
+/* Makes what the stages need, then what factoring and clustering do; with f->entries the most entries of
+ * codebooks. unprepare frees it. */
+btf_status btfi_cmf_prepare_geometry(btfi_cmf_fitting *f, const btf_dataset_desc *desc, double from,
+                                     double to);
+btf_status btfi_cmf_make_room(btfi_cmf_fitting *f);
+void btfi_cmf_unprepare(btfi_cmf_fitting *f);
+/* What reading needs of the working set: an ABRDF, and for averages sums in double and one more for each
+ * thread. */
+uint64_t btfi_cmf_visit_bytes(const btfi_cmf_fitting *f);
+
+/* Writes the smallest payload found whose error is at most f->target: of the fewest terms, and of these the
+ * smallest power of two of entries, or maps of every texel's own. A warning if there is none. */
+btf_status btfi_cmf_meet_target(btfi_cmf_fitting *f, const btf_dataset_desc *desc, uint32_t most_entries,
+                                uint32_t most_terms, double from);
 /* Bytes of the working set that are left, 0 if there are none. */
 static inline uint64_t btfi_cmf_left(const btfi_cmf_fitting *f) {
   return f->budget > f->used ? f->budget - f->used : 0;

@@ -13,7 +13,15 @@ typedef struct making {
   btfi_cmf_geometry *g;
   const btf_dirset *lights, *views;
   uint64_t budget;
+  const btf_job *job;
+  double from, to; /* of the stage at work */
 } making;
+
+/* Reports that `row` of `rows` is next, in the part of the stage between two shares of it. */
+static btf_status report_row(const making *m, uint32_t row, uint32_t rows, double begin, double end) {
+  const double share = begin + (end - begin) * row / rows;
+  return m->host->progress(m->job, m->from + (m->to - m->from) * share, "preparing");
+}
 
 static void *table(making *m, uint64_t count, uint64_t size) {
   m->g->bytes += count * size;
@@ -180,8 +188,9 @@ static btf_status make_cells(making *m, btfi_cmf_stage_geometry *s) {
   s->cell_weight = table(m, cells, sizeof *s->cell_weight);
   btf_status status = known != NULL && s->cell != NULL && s->cell_weight != NULL ? BTF_OK : BTF_E_NOMEM;
   if (status == BTF_OK) memset(known, 0, (size_t)s->rows + s->columns);
-  for (uint32_t row = 0; row < s->rows && status == BTF_OK; row++)
-    for (uint32_t column = 0; column < s->columns; column++) {
+  for (uint32_t row = 0; row < s->rows && status == BTF_OK; row++) {
+    status = report_row(m, row, s->rows, 0.0, 1.0);
+    for (uint32_t column = 0; column < s->columns && status == BTF_OK; column++) {
       const size_t i = (size_t)row * s->columns + column;
       float weight;
       const bool valid = make_cell(m, s, row, column, &s->cell[i], &weight);
@@ -190,6 +199,7 @@ static btf_status make_cells(making *m, btfi_cmf_stage_geometry *s) {
       invalid += !valid;
       if (valid) known[row] = known[s->rows + column] = 1;
     }
+  }
   for (uint64_t i = 0; i < cells && largest > 0.0f && status == BTF_OK; i++) s->cell_weight[i] /= largest;
   if (status == BTF_OK) {
     m->g->invalid = fmax(m->g->invalid, (double)invalid / (double)cells);
@@ -229,10 +239,11 @@ static bool mean_row(making *m, const btfi_cmf_stage_geometry *s, uint32_t row, 
 }
 
 /* Counts the entries of all rows, or with `fill` writes them. */
-static void walk_means(making *m, btfi_cmf_stage_geometry *s, double *sum, unsigned char *known, bool fill,
-                       uint64_t *entries) {
+static btf_status walk_means(making *m, btfi_cmf_stage_geometry *s, double *sum, unsigned char *known,
+                             bool fill, uint64_t *entries) {
   *entries = 0;
   for (uint32_t row = 0; row < s->rows; row++) {
+    BTF_TRY(report_row(m, row, s->rows, fill ? 0.5 : 0.0, fill ? 1.0 : 0.5));
     known[row] = mean_row(m, s, row, sum);
     if (fill) s->start[row] = (uint32_t)*entries;
     for (uint32_t p = 0; p < m->g->pairs && known[row]; p++) {
@@ -245,6 +256,7 @@ static void walk_means(making *m, btfi_cmf_stage_geometry *s, double *sum, unsig
     }
   }
   if (fill) s->start[s->rows] = (uint32_t)*entries;
+  return BTF_OK;
 }
 
 static btf_status make_means(making *m, btfi_cmf_stage_geometry *s) {
@@ -252,25 +264,21 @@ static btf_status make_means(making *m, btfi_cmf_stage_geometry *s) {
   double *sum = m->host->alloc(m->ctx, m->g->pairs, sizeof *sum);
   unsigned char *known = m->host->alloc(m->ctx, s->rows, 1);
   btf_status status = sum != NULL && known != NULL ? BTF_OK : BTF_E_NOMEM;
-  if (status == BTF_OK) {
-    walk_means(m, s, sum, known, false, &entries);
-    if (entries > UINT32_MAX || 8 * entries > m->budget)
-      status =
-          m->host->fail(m->ctx, BTF_E_LIMIT,
-                        "cmf: the mean over a projection needs %llu MiB of tables; lower resolution or give "
-                        "it that working set",
-                        (unsigned long long)(entries >> 16) + 64);
-  }
+  if (status == BTF_OK) status = walk_means(m, s, sum, known, false, &entries);
+  if (status == BTF_OK && (entries > UINT32_MAX || 8 * entries > m->budget))
+    status =
+        m->host->fail(m->ctx, BTF_E_LIMIT,
+                      "cmf: the mean over a projection needs %llu MiB of tables; lower resolution or give "
+                      "it that working set",
+                      (unsigned long long)(entries >> 16) + 64);
   if (status == BTF_OK) {
     s->start = table(m, s->rows + 1ull, sizeof *s->start);
     s->pair = table(m, entries, sizeof *s->pair);
     s->pair_weight = table(m, entries, sizeof *s->pair_weight);
     if (s->start == NULL || s->pair == NULL || s->pair_weight == NULL) status = BTF_E_NOMEM;
   }
-  if (status == BTF_OK) {
-    walk_means(m, s, sum, known, true, &entries);
-    status = make_sources(m, &s->side[0], known);
-  }
+  if (status == BTF_OK) status = walk_means(m, s, sum, known, true, &entries);
+  if (status == BTF_OK) status = make_sources(m, &s->side[0], known);
   m->host->free(m->ctx, sum);
   m->host->free(m->ctx, known);
   return status;
@@ -306,8 +314,8 @@ static btf_status make_stage(making *m, uint32_t index) {
 
 btf_status btfi_cmf_geometry_create(const btf_host *host, btf_context *ctx, const btfi_cmf_settings *settings,
                                     const btf_dirset *lights, const btf_dirset *views, uint64_t budget,
-                                    btfi_cmf_geometry **out) {
-  making m = {host, ctx, host->alloc(ctx, 1, sizeof *m.g), lights, views, budget};
+                                    const btf_job *job, double from, double to, btfi_cmf_geometry **out) {
+  making m = {host, ctx, host->alloc(ctx, 1, sizeof *m.g), lights, views, budget, job, from, to};
   btf_status status = BTF_OK;
   *out = NULL;
   if (m.g == NULL) return BTF_E_NOMEM;
@@ -318,7 +326,11 @@ btf_status btfi_cmf_geometry_create(const btf_host *host, btf_context *ctx, cons
   m.g->pairs = m.g->lights * m.g->views;
   m.g->map_texels = settings->edge * settings->edge;
   m.g->factors = btfi_cmf_list_factors(settings, m.g->factor);
-  for (uint32_t i = 0; i < settings->stage_count && status == BTF_OK; i++) status = make_stage(&m, i);
+  for (uint32_t i = 0; i < settings->stage_count && status == BTF_OK; i++) {
+    m.from = from + (to - from) * i / settings->stage_count;
+    m.to = from + (to - from) * (i + 1) / settings->stage_count;
+    status = make_stage(&m, i);
+  }
   if (status != BTF_OK) {
     btfi_cmf_geometry_free(host, ctx, m.g);
     return status;

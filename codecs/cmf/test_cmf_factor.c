@@ -212,7 +212,8 @@ static bench bench_open(const char *directions, const btfi_cmf_settings *setting
   bench b = {.ctx = test_context(&memory)};
   assert_ok(btf_dirset_create_named(b.ctx, directions, &b.set));
   b.count = btf_dirset_count(b.set);
-  assert_ok(btfi_cmf_geometry_create(btfi_host(), b.ctx, settings, b.set, b.set, 1u << 30, &b.g));
+  assert_ok(
+      btfi_cmf_geometry_create(btfi_host(), b.ctx, settings, b.set, b.set, 1u << 30, NULL, 0.0, 1.0, &b.g));
   b.abrdf = calloc((size_t)b.count * b.count, sizeof *b.abrdf);
   b.maps = calloc((size_t)b.g->factors * b.g->map_texels, sizeof *b.maps);
   b.scratch = aligned_alloc(64, b.g->scratch_bytes);
@@ -226,6 +227,51 @@ static void bench_close(bench *b) {
   btfi_cmf_geometry_free(btfi_host(), b->ctx, b->g);
   btf_dirset_release(b->set);
   test_context_done(b->ctx, &memory);
+}
+
+/* ---- progress of what is made beforehand ---- */
+
+typedef struct reports {
+  double last;
+  long calls, cancel_at;
+} reports;
+static reports told;
+
+static btf_status note_progress(const btf_job *job, double fraction, const char *stage) {
+  (void)job;
+  assert_string_equal(stage, "preparing");
+  assert_true(fraction >= told.last && fraction <= 0.75);
+  told.last = fraction;
+  return ++told.calls == told.cancel_at ? BTF_E_CANCELLED : BTF_OK;
+}
+
+/* Every row of a table is a chance to cancel, which leaves nothing behind. */
+static void test_preparing_can_be_cancelled(void **unused) {
+  (void)unused;
+  btfi_cmf_settings settings = settings_of("hd,h,io");
+  btf_host host = *btfi_host();
+  host.progress = note_progress;
+  settings.resolution = 6;
+  settings.edge = 6;
+  btf_status status = BTF_E_CANCELLED;
+  for (long at = 1; status == BTF_E_CANCELLED; at++) {
+    btf_context *ctx = test_context(&memory);
+    btf_dirset *set;
+    btfi_cmf_geometry *g;
+    told = (reports){.last = 0.25, .cancel_at = at};
+    assert_ok(btf_dirset_create_named(ctx, "grid:4x2", &set));
+    status = btfi_cmf_geometry_create(&host, ctx, &settings, set, set, 1u << 30, NULL, 0.25, 0.75, &g);
+    if (status == BTF_OK) {
+      assert_int_equal(told.calls, 3 * 18); /* tables of 6 x 3: of hd, and twice of h */
+      btfi_cmf_geometry_free(&host, ctx, g);
+    } else {
+      assert_null(g);
+      assert_int_equal(told.calls, at);
+    }
+    btf_dirset_release(set);
+    test_context_done(ctx, &memory);
+  }
+  assert_ok(status);
 }
 
 typedef double (*planted_fn)(const float l[3], const float v[3]);
@@ -539,6 +585,7 @@ int main(void) {
       cmocka_unit_test(test_half_difference),
       cmocka_unit_test(test_pairs),
       cmocka_unit_test(test_chains),
+      cmocka_unit_test(test_preparing_can_be_cancelled),
       cmocka_unit_test(test_terms_are_singular_pairs),
       cmocka_unit_test(test_planted_factors),
       cmocka_unit_test(test_intermediate_resolution),

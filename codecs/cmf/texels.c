@@ -85,10 +85,10 @@ static void normalise_texel(const btfi_cmf_fitting *f, float *maps, float *scale
 static void take_maps(btfi_cmf_fitting *f, uint32_t level, uint64_t texel, uint64_t place, float *maps) {
   normalise_texel(f, maps, f->scale + (f->level_first[level] + texel) * f->scales * f->channels);
   const uint64_t bytes =
-      (uint64_t)f->map_values * btfi_cmf_value_bytes(f->entries > 0 ? f->store_kind : f->storage);
+      (uint64_t)f->map_values * btfi_cmf_value_bytes(f->to_store ? f->store_kind : f->storage);
   for (uint32_t i = 0; i < f->factors; i++) {
     const float *map = maps + (size_t)i * f->map_values;
-    if (f->entries > 0)
+    if (f->to_store)
       btfi_cmf_store(f->store_kind, f->has_sign[i], map, f->map_values,
                      f->store + (f->store_first + place) * f->record_bytes + i * bytes);
     else

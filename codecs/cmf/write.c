@@ -5,11 +5,51 @@
 
 #include "fit.h"
 
+/* ---- records of all texels ---- */
+
+static bool stores_all(const btfi_cmf_fitting *f) {
+  return f->store != NULL && f->capacity >= f->level_first[f->levels];
+}
+
+/* Factors all texels into the store; with a target, once for all sizes that are tried. */
+static btf_status make_records(btfi_cmf_fitting *f, double from, double to) {
+  const double total = (double)f->level_first[f->levels];
+  const size_t scale_bytes = f->level_first[f->levels] * f->scales * f->channels * sizeof *f->scale;
+  if (f->has_records) {
+    memcpy(f->scale, f->kept_scale, scale_bytes);
+    return BTF_OK;
+  }
+  f->to_store = true;
+  for (uint32_t level = 0; level < f->levels; level++) {
+    const uint64_t texels = btfi_cmf_level_texels(f, level);
+    const btfi_cmf_choice all = {.count = texels, .texels = texels};
+    f->store_first = f->level_first[level];
+    BTF_TRY(btfi_cmf_factor_texels(f, level, &all, from + (to - from) * (double)f->level_first[level] / total,
+                                   from + (to - from) * (double)f->level_first[level + 1] / total));
+  }
+  if (f->kept_scale == NULL) return BTF_OK;
+  memcpy(f->kept_scale, f->scale, scale_bytes);
+  f->has_records = true;
+  return BTF_OK;
+}
+
 /* ---- without codebooks ---- */
+
+/* Deals the records of a level out to the tables of its factors. */
+static void copy_records(const btfi_cmf_fitting *f, uint32_t level, uint64_t map_bytes) {
+  for (uint64_t t = 0; t < btfi_cmf_level_texels(f, level); t++) {
+    const unsigned char *record = f->store + (f->level_first[level] + t) * f->record_bytes;
+    for (uint32_t i = 0; i < f->factors; i++)
+      memcpy(f->table[level][i] + t * map_bytes, record + i * map_bytes, map_bytes);
+  }
+}
 
 static btf_status write_tables(btfi_cmf_fitting *f, double from, double to) {
   const uint64_t bytes = (uint64_t)f->map_values * btfi_cmf_value_bytes(f->storage);
   const double total = (double)f->level_first[f->levels];
+  const bool has_records = stores_all(f) && f->store_kind == f->storage;
+  if (has_records) BTF_TRY(make_records(f, from, to));
+  f->to_store = false;
   for (uint32_t level = 0; level < f->levels; level++) {
     const uint64_t texels = btfi_cmf_level_texels(f, level);
     const btfi_cmf_choice all = {.count = texels, .texels = texels};
@@ -19,8 +59,12 @@ static btf_status write_tables(btfi_cmf_fitting *f, double from, double to) {
                                texels * bytes, &table));
       f->table[level][i] = table;
     }
-    BTF_TRY(btfi_cmf_factor_texels(f, level, &all, from + (to - from) * (double)f->level_first[level] / total,
-                                   from + (to - from) * (double)f->level_first[level + 1] / total));
+    if (has_records)
+      copy_records(f, level, bytes);
+    else
+      BTF_TRY(btfi_cmf_factor_texels(f, level, &all,
+                                     from + (to - from) * (double)f->level_first[level] / total,
+                                     from + (to - from) * (double)f->level_first[level + 1] / total));
   }
   return BTF_OK;
 }
@@ -186,14 +230,7 @@ static btf_status write_together(codebooks *b, double from, double to) {
   const uint64_t total = f->level_first[f->levels], samples = f->samples < total ? f->samples : total;
   const double factored = from + 0.7 * (to - from), trained = from + 0.9 * (to - from);
   uint32_t *sample = NULL;
-  for (uint32_t level = 0; level < f->levels; level++) {
-    const uint64_t texels = btfi_cmf_level_texels(f, level);
-    const btfi_cmf_choice all = {.count = texels, .texels = texels};
-    f->store_first = f->level_first[level];
-    BTF_TRY(btfi_cmf_factor_texels(
-        f, level, &all, from + (factored - from) * (double)f->level_first[level] / (double)total,
-        from + (factored - from) * (double)f->level_first[level + 1] / (double)total));
-  }
+  BTF_TRY(make_records(f, from, factored));
   if (samples < total) {
     const btfi_cmf_choice strata = {.sampled = true, .count = samples, .texels = total, .seed = f->job->seed};
     sample = f->host->alloc(f->ctx, samples, sizeof *sample);
@@ -217,6 +254,8 @@ static btf_status write_apart(codebooks *b, double from, double to) {
   btfi_cmf_choice strata = {.sampled = true, .count = f->samples, .texels = finest, .seed = f->job->seed};
   if (strata.count > f->capacity) strata.count = f->capacity;
   if (strata.count > finest) strata.count = finest;
+  f->to_store = true;
+  f->store_first = 0;
   BTF_TRY(btfi_cmf_factor_texels(f, 0, &strata, from, factored));
   BTF_TRY(train(b, strata.count, NULL, factored, trained));
   for (uint32_t level = 0; level < f->levels; level++) {
@@ -241,8 +280,7 @@ static btf_status write_codebooks(btfi_cmf_fitting *f, double from, double to) {
   if (b == NULL) return BTF_E_NOMEM;
   memset(b, 0, sizeof *b);
   b->f = f;
-  const btf_status status =
-      f->capacity >= f->level_first[f->levels] ? write_together(b, from, to) : write_apart(b, from, to);
+  const btf_status status = stores_all(f) ? write_together(b, from, to) : write_apart(b, from, to);
   for (uint32_t i = 0; i < f->factors; i++) btfi_cmf_codebook_free(f->host, f->ctx, &b->book[i]);
   f->host->free(f->ctx, b->index);
   f->host->free(f->ctx, b);
@@ -293,8 +331,8 @@ static btf_status write_head(const btfi_cmf_fitting *f) {
   return f->host->put(f->payload, CMF_TAG_HEAD, 0, 0, bytes, sizeof bytes);
 }
 
-btf_status btfi_cmf_write(btfi_cmf_fitting *f) {
-  BTF_TRY(f->entries > 0 ? write_codebooks(f, 0.02, 0.98) : write_tables(f, 0.02, 0.98));
+btf_status btfi_cmf_write(btfi_cmf_fitting *f, double from, double to) {
+  BTF_TRY(f->entries > 0 ? write_codebooks(f, from, to) : write_tables(f, from, to));
   BTF_TRY(write_scales(f));
   return write_head(f);
 }
