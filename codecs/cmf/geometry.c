@@ -7,6 +7,13 @@
 
 #include "factor.h"
 
+/* A direction of a domain, taken once for all cells that it is in. */
+typedef struct sample {
+  float direction[3];
+  bool exists; /* a direction of the data, or a texel of the hemisphere */
+  double solid_angle;
+} sample;
+
 typedef struct making {
   const btf_host *host;
   btf_context *ctx;
@@ -14,7 +21,8 @@ typedef struct making {
   const btf_dirset *lights, *views;
   uint64_t budget;
   const btf_job *job;
-  double from, to; /* of the stage at work */
+  double from, to;    /* of the stage at work */
+  sample *samples[2]; /* of its sides */
 } making;
 
 /* Reports that `row` of `rows` is next, in the part of the stage between two shares of it. */
@@ -32,17 +40,21 @@ static const float *direction_of(const making *m, const btf_dirset *set, uint32_
   return m->host->dirset_directions(set) + 3 * (size_t)i;
 }
 
-static void sample_direction(const making *m, const btfi_cmf_domain *domain, uint32_t i, float out[3]) {
-  if (domain->native)
-    memcpy(out, direction_of(m, domain->set, i), 3 * sizeof *out);
-  else
-    (void)btfi_cmf_map_direction(&domain->map, i, out);
-}
-
-static bool is_sample(const making *m, const btfi_cmf_domain *domain, uint32_t i) {
-  float unused[3];
-  (void)m;
-  return domain->native || btfi_cmf_map_direction(&domain->map, i, unused);
+static btf_status list_samples(making *m, const btfi_cmf_domain *domain, sample **out) {
+  *out = m->host->alloc(m->ctx, domain->count, sizeof **out);
+  if (*out == NULL) return BTF_E_NOMEM;
+  for (uint32_t i = 0; i < domain->count; i++) {
+    sample *s = &(*out)[i];
+    s->exists = true;
+    s->solid_angle = 1.0;
+    if (domain->native) {
+      memcpy(s->direction, direction_of(m, domain->set, i), sizeof s->direction);
+    } else {
+      s->exists = btfi_cmf_map_direction(&domain->map, i, s->direction);
+      s->solid_angle = btfi_cmf_map_solid_angle(&domain->map, i);
+    }
+  }
+  return BTF_OK;
 }
 
 static void make_domain(making *m, uint32_t projection, btfi_cmf_domain *domain) {
@@ -121,14 +133,13 @@ static btf_status make_at(making *m, const btfi_cmf_pair *pair, uint32_t which, 
 /* The pairs of the data around a cell; false if it has no valid pair. */
 static bool make_cell(const making *m, const btfi_cmf_stage_geometry *s, uint32_t row, uint32_t column,
                       btfi_cmf_cell *cell, float *weight) {
-  float first[3], second[3], light[3], view[3];
+  const sample *first = &m->samples[0][row], *second = &m->samples[1][column];
+  float light[3], view[3];
   btf_interp at_light, at_view;
   memset(cell, 0, sizeof *cell);
   *weight = 0.0f;
-  if (!is_sample(m, &s->side[0].domain, row) || !is_sample(m, &s->side[1].domain, column)) return false;
-  sample_direction(m, &s->side[0].domain, row, first);
-  sample_direction(m, &s->side[1].domain, column, second);
-  if (!s->stage.pair->invert(first, second, light, view)) return false;
+  if (!first->exists || !second->exists) return false;
+  if (!s->stage.pair->invert(first->direction, second->direction, light, view)) return false;
   m->host->dirset_locate(m->lights, light, &at_light);
   m->host->dirset_locate(m->views, view, &at_view);
   memcpy(cell->light, at_light.index, sizeof cell->light);
@@ -136,10 +147,7 @@ static bool make_cell(const making *m, const btfi_cmf_stage_geometry *s, uint32_
   memcpy(cell->view, at_view.index, sizeof cell->view);
   memcpy(cell->view_weight, at_view.weight, sizeof cell->view_weight);
   /* Solid angles of light and view that the cell stands for: dl dv = 4 <l, h> dh dd, and dv = 4 <l, h> dh. */
-  double measure = 1.0;
-  for (int k = 0; k < 2; k++)
-    if (!s->side[k].domain.native)
-      measure *= btfi_cmf_map_solid_angle(&s->side[k].domain.map, k == 0 ? row : column);
+  double measure = first->solid_angle * second->solid_angle;
   if (!(s->side[0].domain.native && s->side[1].domain.native)) {
     float half[3];
     btfi_cmf_half(light, view, half);
@@ -152,10 +160,9 @@ static bool make_cell(const making *m, const btfi_cmf_stage_geometry *s, uint32_
 
 /* Weight of a cell in sums: the paper gives every cell the same, and those without a valid pair a value of 0.
  */
-static float weight_of(const making *m, const btfi_cmf_stage_geometry *s, uint32_t row, uint32_t column,
-                       bool valid, float weight) {
+static float weight_of(const making *m, uint32_t row, uint32_t column, bool valid, float weight) {
   if (m->g->settings.average == CMF_VALID) return valid ? weight : 0.0f;
-  return is_sample(m, &s->side[0].domain, row) && is_sample(m, &s->side[1].domain, column) ? 1.0f : 0.0f;
+  return m->samples[0][row].exists && m->samples[1][column].exists ? 1.0f : 0.0f;
 }
 
 /* Rows or columns that no weight reaches copy the nearest one that is. */
@@ -194,7 +201,7 @@ static btf_status make_cells(making *m, btfi_cmf_stage_geometry *s) {
       const size_t i = (size_t)row * s->columns + column;
       float weight;
       const bool valid = make_cell(m, s, row, column, &s->cell[i], &weight);
-      s->cell_weight[i] = weight_of(m, s, row, column, valid, weight);
+      s->cell_weight[i] = weight_of(m, row, column, valid, weight);
       largest = fmaxf(largest, s->cell_weight[i]);
       invalid += !valid;
       if (valid) known[row] = known[s->rows + column] = 1;
@@ -229,7 +236,7 @@ static bool mean_row(making *m, const btfi_cmf_stage_geometry *s, uint32_t row, 
     btfi_cmf_cell cell;
     float weight;
     const bool valid = make_cell(m, s, row, column, &cell, &weight);
-    const float share = weight_of(m, s, row, column, valid, weight);
+    const float share = weight_of(m, row, column, valid, weight);
     if (valid) add_cell(&cell, m->g->lights, share, sum);
     total += (double)share;
     any = any || valid;
@@ -309,13 +316,21 @@ static btf_status make_stage(making *m, uint32_t index) {
     BTF_TRY(make_at(m, s->stage.pair, k, &s->side[k]));
   }
   if (s->native || m->g->settings.method == CMF_HOMOMORPHIC) return BTF_OK;
-  return s->stage.mean ? make_means(m, s) : make_cells(m, s);
+  btf_status status = list_samples(m, &s->side[0].domain, &m->samples[0]);
+  if (status == BTF_OK) status = list_samples(m, &s->side[1].domain, &m->samples[1]);
+  if (status == BTF_OK) status = s->stage.mean ? make_means(m, s) : make_cells(m, s);
+  for (int k = 0; k < 2; k++) {
+    m->host->free(m->ctx, m->samples[k]);
+    m->samples[k] = NULL;
+  }
+  return status;
 }
 
 btf_status btfi_cmf_geometry_create(const btf_host *host, btf_context *ctx, const btfi_cmf_settings *settings,
                                     const btf_dirset *lights, const btf_dirset *views, uint64_t budget,
                                     const btf_job *job, double from, double to, btfi_cmf_geometry **out) {
-  making m = {host, ctx, host->alloc(ctx, 1, sizeof *m.g), lights, views, budget, job, from, to};
+  making m = {host, ctx,         host->alloc(ctx, 1, sizeof *m.g), lights, views, budget, job, from,
+              to,   {NULL, NULL}};
   btf_status status = BTF_OK;
   *out = NULL;
   if (m.g == NULL) return BTF_E_NOMEM;
