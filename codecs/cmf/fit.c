@@ -97,7 +97,11 @@ static btf_status create_hf(btfi_cmf_fitting *f) {
   const uint64_t taps = (uint64_t)f->pairs * f->factors * 4;
   uint32_t *texel = f->host->alloc(f->ctx, taps, sizeof *texel);
   float *weight = f->host->alloc(f->ctx, taps, sizeof *weight);
-  btf_status status = texel != NULL && weight != NULL ? BTF_OK : BTF_E_NOMEM;
+  uint8_t *use_texel = f->host->alloc(f->ctx, (uint64_t)f->factors * g->map_texels, sizeof *use_texel);
+  btf_status status = texel != NULL && weight != NULL && use_texel != NULL ? BTF_OK : BTF_E_NOMEM;
+  const btfi_cmf_map map = btfi_cmf_map_of(CMF_PARABOLIC, f->settings.edge);
+  for (uint32_t i = 0; i < f->factors * g->map_texels && status == BTF_OK; i++)
+    use_texel[i] = btfi_cmf_map_reads(&map, i % g->map_texels);
   for (uint32_t i = 0; i < f->factors && status == BTF_OK; i++) {
     const btfi_cmf_side *side = &g->stage[g->factor[i].stage].side[g->factor[i].side];
     for (uint32_t p = 0; p < f->pairs; p++) {
@@ -111,10 +115,12 @@ static btf_status create_hf(btfi_cmf_fitting *f) {
   }
   hf.texel = texel;
   hf.weight = weight;
+  hf.use_texel = use_texel;
   if (status == BTF_OK)
     status = btfi_cmf_hf_create(f->host, f->ctx, &hf, f->lambda, btfi_cmf_left(f), &f->hf);
   f->host->free(f->ctx, texel);
   f->host->free(f->ctx, weight);
+  f->host->free(f->ctx, use_texel);
   const uint64_t most = (uint64_t)f->factors * f->settings.edge * f->settings.edge;
   if (status == BTF_E_LIMIT)
     return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: the homomorphic method needs a working set of %llu MiB",

@@ -8,6 +8,9 @@
 #include "cmf.h"
 #include "homomorphic.h"
 
+/* Below what the loader takes; a material that has it is refused. */
+#define CMF_LARGEST_SCALE 1e29f
+
 /* Turns ABRDFs to their direction of maximal anisotropy (rotate.c). */
 typedef struct btfi_cmf_rotation {
   uint32_t lights, views;

@@ -61,6 +61,14 @@ double btfi_cmf_map_solid_angle(const btfi_cmf_map *map, uint32_t index) {
   return (cos(y * step) - cos((y + 1.0) * step)) * 2.0 * PI / map->width;
 }
 
+bool btfi_cmf_map_reads(const btfi_cmf_map *map, uint32_t index) {
+  if (map->kind != CMF_PARABOLIC) return true;
+  /* Lookups reach one texel to each side. */
+  const double a = fmax(fabs(centre(index % map->width, map->width)) - 2.0 / map->width, 0.0);
+  const double b = fmax(fabs(centre(index / map->width, map->height)) - 2.0 / map->height, 0.0);
+  return a * a + b * b <= 1.0;
+}
+
 /* Two neighbours on an axis of n texels at a position counted from the border. */
 static void along(double position, uint32_t n, bool wrap, uint32_t index[2], double weight[2]) {
   double p = position - 0.5;

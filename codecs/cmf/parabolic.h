@@ -35,6 +35,8 @@ static inline uint32_t btfi_cmf_map_texels(const btfi_cmf_map *map) {
 bool btfi_cmf_map_direction(const btfi_cmf_map *map, uint32_t index, float direction[3]);
 /* Solid angle of a texel, 0 beyond the circle. */
 double btfi_cmf_map_solid_angle(const btfi_cmf_map *map, uint32_t index);
+/* Whether any direction's lookup reads a texel. */
+bool btfi_cmf_map_reads(const btfi_cmf_map *map, uint32_t index);
 /* Where a direction is looked up. One below the horizon is treated as lying on it. */
 void btfi_cmf_map_locate(const btfi_cmf_map *map, const float direction[3], btfi_cmf_tap *tap);
 /* source[i]: the texel to copy into texel i: itself where known[i], otherwise the nearest known texel (by

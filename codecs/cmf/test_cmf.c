@@ -251,6 +251,24 @@ static void test_budgets(void **unused) {
   test_context_done(ctx, &memory);
 }
 
+/* Noise down to 0 and next to no smoothness leave the texels between the samples wild: beyond what S can
+ * hold.
+ */
+static void test_wild_factors(void **unused) {
+  (void)unused;
+  btf_context *ctx = test_context(&memory);
+  material m = material_create(ctx, CONSTANT, "grid:10x5", 2, 1, 1);
+  btf_model *model;
+  for (uint32_t i = 0; i < 2 * m.count * m.count; i++) m.samples[i] = fmaxf(0.0f, cmf_draw() - 0.5f);
+  assert_status(
+      cmf_try_fit(ctx, &m, "method=homomorphic lambda=0.0001 log_floor=0.000001 levels=1", NULL, &model),
+      BTF_E_NUMERIC);
+  assert_message_has("lambda");
+  btf_model_release(cmf_fit(ctx, &m, "method=homomorphic levels=1"));
+  material_release(&m);
+  test_context_done(ctx, &memory);
+}
+
 /* Every allocation fails in turn. */
 static void test_failing_allocations(void **unused) {
   (void)unused;
@@ -286,6 +304,7 @@ int main(void) {
       cmocka_unit_test(test_levels_are_refits),
       cmocka_unit_test(test_edge_cases),
       cmocka_unit_test(test_budgets),
+      cmocka_unit_test(test_wild_factors),
       cmocka_unit_test(test_failing_allocations),
   };
   return btf_run("cmf", tests);

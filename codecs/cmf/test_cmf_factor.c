@@ -81,6 +81,25 @@ static void test_maps(void **unused) {
     }
 }
 
+/* No lookup of the hemisphere reads a texel that is said not to be read; all others are read by one. */
+static void test_texels_that_are_read(void **unused) {
+  (void)unused;
+  for (uint32_t kind = 0; kind < CMF_MAP_KINDS; kind++)
+    for (uint32_t edge = 5; edge <= 16; edge += 11) {
+      const btfi_cmf_map map = btfi_cmf_map_of(kind, edge), fine = btfi_cmf_map_of(kind, 64 * edge);
+      unsigned char is_read[256] = {0};
+      for (uint32_t i = 0; i < btfi_cmf_map_texels(&fine); i++) {
+        float d[3];
+        btfi_cmf_tap tap;
+        (void)btfi_cmf_map_direction(&fine, i, d); /* directions of the horizon beyond the circle */
+        btfi_cmf_map_locate(&map, d, &tap);
+        for (int k = 0; k < 4; k++) is_read[tap.index[k]] |= tap.weight[k] > 0.0f;
+      }
+      for (uint32_t i = 0; i < btfi_cmf_map_texels(&map); i++)
+        assert_int_equal(btfi_cmf_map_reads(&map, i), is_read[i]);
+    }
+}
+
 /* Texels outside the circle hold the value of the nearest one within, by brute force; never 0. */
 static void test_corners_are_extrapolated(void **unused) {
   (void)unused;
@@ -581,6 +600,7 @@ int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_parabolic_is_a_bijection),
       cmocka_unit_test(test_maps),
+      cmocka_unit_test(test_texels_that_are_read),
       cmocka_unit_test(test_corners_are_extrapolated),
       cmocka_unit_test(test_half_difference),
       cmocka_unit_test(test_pairs),

@@ -77,7 +77,7 @@ static void normalise_texel(const btfi_cmf_fitting *f, float *maps, float *scale
         scale[f->term_scale[i] * channels + c] = of_first > 0.0 ? (float)fmin(of_term / of_first, 1e6) : 0.0f;
       }
     }
-    scale[c] = (float)fmin(merged, 1e30);
+    scale[c] = (float)fmin(merged, (double)CMF_LARGEST_SCALE);
   }
 }
 

@@ -296,6 +296,13 @@ static btf_status write_scales(btfi_cmf_fitting *f) {
   void *chunk;
   for (uint64_t t = 0; t < f->level_first[f->levels]; t++)
     for (uint32_t i = 0; i < count; i++) most[i] = fmaxf(most[i], f->scale[t * count + i]);
+  for (uint32_t i = 0; i < f->channels; i++)
+    if (!(most[i] < CMF_LARGEST_SCALE))
+      return f->host->fail(
+          f->ctx, BTF_E_NUMERIC,
+          "cmf: the largest values of the factors multiply to more than %g; a larger lambda or "
+          "log_floor, or smaller samples, would do",
+          (double)CMF_LARGEST_SCALE);
   BTF_TRY(f->host->reserve(f->payload, CMF_TAG_GLOBAL, 0, 0, 4 * (uint64_t)count, &chunk));
   global = chunk;
   for (uint32_t i = 0; i < count; i++) btf_put_f32(global + 4 * (size_t)i, most[i]);
