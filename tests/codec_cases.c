@@ -75,6 +75,25 @@ const codec_case codec_cases[] = {
      .threads = 1e-3,
      .streamed = 1e-3,
      .slack = 1024 * KIB},
+    {.codec = "cmf",
+     .options = "edge=8,resolution=8,codebook=0,map=cube,levels=2",
+     .channels = ANY,
+     .rmse = 0.15,
+     .level_rmse = 0.15,
+     .isa = 1e-5,
+     .threads = 1e-3,
+     .streamed = 1e-3,
+     .slack = 1024 * KIB},
+    /* 22 dB are 0.24 at most, as below. */
+    {.codec = "cmf",
+     .options = "edge=8,resolution=8,psnr=22,max_codebook=0,levels=2",
+     .channels = RGB,
+     .rmse = 0.24,
+     .level_rmse = 0.24,
+     .isa = 1e-5,
+     .threads = 1e-3,
+     .streamed = 1e-3,
+     .slack = 4608 * KIB /* the histogram, as above */},
 
     /* Fits of pvpca add up in parts whose number is not that of the threads, and read the same matrices from
      * every source: bit for bit. Values that are mostly means have the rounding of halves, 2^-11 at most; of

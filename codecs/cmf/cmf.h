@@ -36,7 +36,12 @@ enum { CMF_TURN = 256 /* angles of a rotated ABRDF in a full turn */ };
 
 /* ---- payload (layout.c) ---- */
 
-enum { CMF_FLAG_CODEBOOK = 1, CMF_FLAG_ROTATED = 2, CMF_FLAG_SIGNED = 4 /* terms after the first */ };
+enum {
+  CMF_FLAG_CODEBOOK = 1,
+  CMF_FLAG_ROTATED = 2,
+  CMF_FLAG_SIGNED = 4 /* terms after the first */,
+  CMF_FLAG_CUBE = 8
+};
 
 typedef struct btfi_cmf_head {
   uint32_t storage, edge, levels, flags, stages;
@@ -87,6 +92,7 @@ struct btfi_cmf_state {
   uint32_t width, height, channels, wrap;
   uint32_t levels, storage, edge, factors, scales; /* scales: 1 + ratios of a texel */
   uint32_t projections;                            /* bit set of those that factors use */
+  bool cube;                                       /* cube maps, not parabolic ones */
   uint32_t row_values;                             /* channels * edge */
   uint64_t entry_bytes;
   btfi_cmf_state_factor factor[CMF_MAX_FACTORS];

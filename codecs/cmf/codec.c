@@ -8,6 +8,7 @@ static const char *const methods[] = {"svd", "nonnegative", "homomorphic", NULL}
 static const char *const residues[] = {"ratio", "weighted", NULL};
 static const char *const averages[] = {"valid", "uniform", NULL};
 static const char *const grids[] = {"parabolic", "angular", NULL};
+static const char *const map_kinds[] = {"parabolic", "cube", NULL};
 static const char *const storages[] = {"u8", "f16", "f32", NULL};
 static const char *const clusterings[] = {"kmeans", "tree", "mediancut", NULL};
 
@@ -35,7 +36,8 @@ BTF_PARAM(grid, BTF_PARAM_CHOICE, "tables of half and difference vectors while f
           grids, 0, 0);
 BTF_PARAM(resolution, BTF_PARAM_INT, "edge of those tables; angular ones have half as many elevations", NULL,
           "32", NULL, 4, 64);
-BTF_PARAM(edge, BTF_PARAM_INT, "edge of the parabolic maps", "texel", "32", NULL, CMF_MIN_EDGE, CMF_MAX_EDGE);
+BTF_PARAM(map, BTF_PARAM_CHOICE, "maps of the hemisphere", NULL, "parabolic", map_kinds, 0, 0);
+BTF_PARAM(edge, BTF_PARAM_INT, "edge of the maps", "texel", "32", NULL, CMF_MIN_EDGE, CMF_MAX_EDGE);
 BTF_PARAM(epsilon, BTF_PARAM_FLOAT, "least divisor of a residue, relative to the largest value of the ABRDF",
           NULL, "0.001", NULL, 1e-6, 1);
 BTF_PARAM(lambda, BTF_PARAM_FLOAT, "smoothness of homomorphic factors", NULL, "0.3", NULL, 1e-4, 1e4);
@@ -65,9 +67,9 @@ BTF_PARAM(rotate, BTF_PARAM_BOOL, "turn each ABRDF to its direction of maximal a
 BTF_PARAM(levels, BTF_PARAM_INT, "levels of detail, 0 = all", NULL, "0", NULL, 0, CMF_MAX_LEVELS);
 
 static const btf_param_desc *const params[] = {
-    &factors,    &chain,        &method,    &residue, &sweeps,    &average, &symmetric, &grid,
-    &resolution, &edge,         &epsilon,   &lambda,  &log_floor, &storage, &codebook,  &psnr,
-    &rmse,       &max_codebook, &max_terms, &cluster, &samples,   &rotate,  &levels,    NULL};
+    &factors,      &chain,     &method,  &residue, &sweeps,    &average, &symmetric, &grid, &resolution,
+    &map,          &edge,      &epsilon, &lambda,  &log_floor, &storage, &codebook,  &psnr, &rmse,
+    &max_codebook, &max_terms, &cluster, &samples, &rotate,    &levels,  NULL};
 
 static uint32_t level_count(const void *state) {
   return ((const btfi_cmf_state *)state)->levels;

@@ -17,15 +17,41 @@ enum {
 
 /* ---- directions ---- */
 
-static void locate(const btfi_cmf_state *s, float x, float y, float z, btfi_cmf_at *at) {
-  const float up = 1.0f + (z > 0.0f ? z : 0.0f);
-  float position[2] = {x / up, y / up};
+static void parabolic(float x, float y, float z, float position[2]) {
+  const float up = 1.0f + z;
+  position[0] = x / up;
+  position[1] = y / up;
   const float r2 = position[0] * position[0] + position[1] * position[1];
-  const float within = r2 > 1.0f ? 1.0f / sqrtf(r2) : 1.0f, last = (float)(s->edge - 1);
+  const float within = r2 > 1.0f ? 1.0f / sqrtf(r2) : 1.0f;
+  position[0] *= within;
+  position[1] *= within;
+}
+
+static void cube(float x, float y, float z, float position[2]) {
+  const float across_x = fabsf(x), across_y = fabsf(y);
+  if (z >= across_x && z >= across_y) {
+    position[0] = 0.5f * x / z;
+    position[1] = 0.5f * y / z;
+  } else if (across_x * CMF_CUBE_BIAS >= across_y) {
+    position[0] = copysignf(1.0f - 0.5f * z / across_x, x);
+    position[1] = 0.5f * y / across_x;
+  } else {
+    position[0] = 0.5f * x / across_y;
+    position[1] = copysignf(1.0f - 0.5f * z / across_y, y);
+  }
+}
+
+static void locate(const btfi_cmf_state *s, float x, float y, float z, btfi_cmf_at *at) {
+  const float above = z > 0.0f ? z : 0.0f, last = (float)(s->edge - 1);
+  float position[2];
   uint32_t texel[2];
+  if (s->cube)
+    cube(x, y, above, position);
+  else
+    parabolic(x, y, above, position);
   float part[2];
   for (int i = 0; i < 2; i++) {
-    const float p = 0.5f * (position[i] * within + 1.0f) * (float)s->edge - 0.5f;
+    const float p = 0.5f * (position[i] + 1.0f) * (float)s->edge - 0.5f;
     const float clamped = p > 0.0f ? (p < last ? p : last) : 0.0f; /* 0 also for a NaN */
     const uint32_t whole = (uint32_t)(int32_t)clamped;
     texel[i] = whole < s->edge - 2 ? whole : s->edge - 2;

@@ -55,7 +55,7 @@ typedef struct btfi_cmf_settings {
   uint32_t method, residue, average;
   bool symmetric;
   uint32_t grid, resolution; /* CMF_ANGULAR or CMF_PARABOLIC tables between stages, and their edge */
-  uint32_t edge;             /* of the maps */
+  uint32_t map, edge;        /* CMF_PARABOLIC or CMF_CUBE maps, and their edge */
   uint32_t sweeps;           /* over all stages, each fitted again to what the others leave */
   double epsilon; /* least approximation to divide by, relative to the largest value of the ABRDF */
 } btfi_cmf_settings;

@@ -39,6 +39,7 @@ static btf_status read_options(btfi_cmf_fitting *f, const btf_options *options) 
   s->symmetric = host->option(options, "symmetric") != 0.0;
   s->grid = (uint32_t)host->option(options, "grid");
   s->resolution = (uint32_t)host->option(options, "resolution");
+  s->map = host->option(options, "map") == 0.0 ? CMF_PARABOLIC : CMF_CUBE;
   s->edge = (uint32_t)host->option(options, "edge");
   s->sweeps = (uint32_t)host->option(options, "sweeps");
   s->epsilon = host->option(options, "epsilon");
@@ -99,7 +100,7 @@ static btf_status create_hf(btfi_cmf_fitting *f) {
   float *weight = f->host->alloc(f->ctx, taps, sizeof *weight);
   uint8_t *use_texel = f->host->alloc(f->ctx, (uint64_t)f->factors * g->map_texels, sizeof *use_texel);
   btf_status status = texel != NULL && weight != NULL && use_texel != NULL ? BTF_OK : BTF_E_NOMEM;
-  const btfi_cmf_map map = btfi_cmf_map_of(CMF_PARABOLIC, f->settings.edge);
+  const btfi_cmf_map map = btfi_cmf_map_of(f->settings.map, f->settings.edge);
   for (uint32_t i = 0; i < f->factors * g->map_texels && status == BTF_OK; i++)
     use_texel[i] = btfi_cmf_map_reads(&map, i % g->map_texels);
   for (uint32_t i = 0; i < f->factors && status == BTF_OK; i++) {

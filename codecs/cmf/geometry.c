@@ -88,7 +88,7 @@ static void locate(const making *m, const btfi_cmf_domain *domain, const float d
 }
 
 static btf_status make_to_map(making *m, btfi_cmf_side *side) {
-  const btfi_cmf_map map = btfi_cmf_map_of(CMF_PARABOLIC, m->g->settings.edge);
+  const btfi_cmf_map map = btfi_cmf_map_of(m->g->settings.map, m->g->settings.edge);
   side->to_map = table(m, m->g->map_texels, sizeof *side->to_map);
   if (side->to_map == NULL) return BTF_E_NOMEM;
   for (uint32_t i = 0; i < m->g->map_texels; i++) {
@@ -102,7 +102,7 @@ static btf_status make_to_map(making *m, btfi_cmf_side *side) {
 /* Where light l and view v fall into the map of one side of a stage. */
 static void tap_pair(const making *m, const btfi_cmf_pair *pair, uint32_t which, const float *l,
                      const float *v, btfi_cmf_tap *tap) {
-  const btfi_cmf_map map = btfi_cmf_map_of(CMF_PARABOLIC, m->g->settings.edge);
+  const btfi_cmf_map map = btfi_cmf_map_of(m->g->settings.map, m->g->settings.edge);
   float projected[2][3];
   pair->project(l, v, projected[0], projected[1]);
   btfi_cmf_map_locate(&map, projected[which], tap);

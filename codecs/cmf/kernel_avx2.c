@@ -118,7 +118,8 @@ KERNELS(f32, CMF_F32)
 
 /* Loads of packed texels reach beyond the second texel. In the last two rows of a map the unit circle is
  * narrower than 2 sqrt(6 / edge), so that behind the first texel there are at least (0.5 - sqrt(1.5 / edge))
- * * edge - 1 more: 3 for an edge of 16 and 8 for one of 32. */
+ * * edge - 1 more: 3 for an edge of 16 and 8 for one of 32. Those rows of a cube map end at 3/4 of the edge,
+ * with edge / 4 - 1/2 more behind: 4 and 8. */
 btfi_cmf_blend_fn btfi_cmf_blend_avx2(uint32_t storage, uint32_t channels, uint32_t edge) {
   static const btfi_cmf_blend_fn packed[] = {packed_u8, packed_f16, packed_f32};
   static const btfi_cmf_blend_fn wide[] = {wide_u8, wide_f16, wide_f32};

@@ -28,7 +28,7 @@ static btf_status get_head(loading *l) {
   const void *data;
   BTF_TRY(btf_get_chunk(l->host, l->ctx, l->payload, "cmf", CMF_TAG_HEAD, 0, CMF_HEAD_BYTES, &data));
   btfi_cmf_get_head(data, head);
-  const uint32_t flags = CMF_FLAG_CODEBOOK | CMF_FLAG_ROTATED | CMF_FLAG_SIGNED;
+  const uint32_t flags = CMF_FLAG_CODEBOOK | CMF_FLAG_ROTATED | CMF_FLAG_SIGNED | CMF_FLAG_CUBE;
   const uint32_t most_levels = l->host->mip_count(l->shape->width, l->shape->height);
   if (head->storage >= CMF_STORAGES || (head->flags & ~flags) != 0)
     return l->host->fail(l->ctx, BTF_E_CORRUPT, "cmf: unknown storage %u or flags %u", head->storage,
@@ -208,6 +208,7 @@ static btf_status load_state(loading *l) {
   s->levels = l->head.levels;
   s->storage = l->head.storage;
   s->edge = l->head.edge;
+  s->cube = (l->head.flags & CMF_FLAG_CUBE) != 0;
   s->row_values = s->channels * s->edge;
   s->entry_bytes = (uint64_t)s->row_values * s->edge * btfi_cmf_value_bytes(s->storage);
   s->resident = sizeof *s;

@@ -8,7 +8,7 @@
 #define PI 3.14159265358979323846
 
 btfi_cmf_map btfi_cmf_map_of(uint32_t kind, uint32_t edge) {
-  const btfi_cmf_map map = {kind, edge, kind == CMF_PARABOLIC ? edge : (edge + 1) / 2};
+  const btfi_cmf_map map = {kind, edge, kind == CMF_ANGULAR ? (edge + 1) / 2 : edge};
   return map;
 }
 
@@ -34,6 +34,20 @@ static double centre(uint32_t i, uint32_t n) {
   return (2.0 * i + 1.0) / n - 1.0;
 }
 
+/* Diagonals are of the sides of x. */
+static bool is_corner(double a, double b) {
+  return fabs(a) >= 0.5 && fabs(b) > 0.5;
+}
+
+static void from_cube(double a, double b, float direction[3]) {
+  if (fabs(a) <= 0.5 && fabs(b) <= 0.5)
+    unit(2.0 * a, 2.0 * b, 1.0, direction);
+  else if (fabs(a) >= fabs(b))
+    unit(a > 0.0 ? 1.0 : -1.0, 2.0 * b, 2.0 * (1.0 - fabs(a)), direction);
+  else
+    unit(2.0 * a, b > 0.0 ? 1.0 : -1.0, 2.0 * (1.0 - fabs(b)), direction);
+}
+
 bool btfi_cmf_map_direction(const btfi_cmf_map *map, uint32_t index, float direction[3]) {
   const uint32_t x = index % map->width, y = index / map->width;
   if (map->kind == CMF_PARABOLIC) {
@@ -44,6 +58,11 @@ bool btfi_cmf_map_direction(const btfi_cmf_map *map, uint32_t index, float direc
     }
     unit(a, b, 0.0, direction);
     return false;
+  }
+  if (map->kind == CMF_CUBE) {
+    const double a = centre(x, map->width), b = centre(y, map->height);
+    from_cube(a, b, direction);
+    return !is_corner(a, b);
   }
   const double phi = 2.0 * PI * (x + 0.5) / map->width, theta = 0.5 * PI * (y + 0.5) / map->height;
   unit(sin(theta) * cos(phi), sin(theta) * sin(phi), cos(theta), direction);
@@ -57,16 +76,23 @@ double btfi_cmf_map_solid_angle(const btfi_cmf_map *map, uint32_t index) {
     const double side = 2.0 / map->width;
     return r2 <= 1.0 ? 4.0 / ((1.0 + r2) * (1.0 + r2)) * side * side : 0.0;
   }
+  if (map->kind == CMF_CUBE) {
+    /* On the plane of a face at distance 1: dp dq / (1 + p^2 + q^2)^(3/2). */
+    const double a = fabs(centre(x, map->width)), b = fabs(centre(y, map->height));
+    const double p = a <= 0.5 ? 2.0 * a : 2.0 * (1.0 - a), q = b <= 0.5 ? 2.0 * b : 2.0 * (1.0 - b);
+    const double side = 4.0 / map->width;
+    return is_corner(a, b) ? 0.0 : side * side / pow(1.0 + p * p + q * q, 1.5);
+  }
   const double step = 0.5 * PI / map->height;
   return (cos(y * step) - cos((y + 1.0) * step)) * 2.0 * PI / map->width;
 }
 
 bool btfi_cmf_map_reads(const btfi_cmf_map *map, uint32_t index) {
-  if (map->kind != CMF_PARABOLIC) return true;
+  if (map->kind == CMF_ANGULAR) return true;
   /* Lookups reach one texel to each side. */
   const double a = fmax(fabs(centre(index % map->width, map->width)) - 2.0 / map->width, 0.0);
   const double b = fmax(fabs(centre(index / map->width, map->height)) - 2.0 / map->height, 0.0);
-  return a * a + b * b <= 1.0;
+  return map->kind == CMF_CUBE ? !is_corner(a, b) : a * a + b * b <= 1.0;
 }
 
 /* Two neighbours on an axis of n texels at a position counted from the border. */
@@ -89,9 +115,9 @@ static void along(double position, uint32_t n, bool wrap, uint32_t index[2], dou
 void btfi_cmf_map_locate(const btfi_cmf_map *map, const float direction[3], btfi_cmf_tap *tap) {
   uint32_t x[2], y[2];
   double wx[2], wy[2];
-  if (map->kind == CMF_PARABOLIC) {
+  if (map->kind != CMF_ANGULAR) {
     float ab[2];
-    btfi_cmf_parabolic(direction, ab);
+    (map->kind == CMF_PARABOLIC ? btfi_cmf_parabolic : btfi_cmf_cube)(direction, ab);
     along(0.5 * ((double)ab[0] + 1.0) * map->width, map->width, false, x, wx);
     along(0.5 * ((double)ab[1] + 1.0) * map->height, map->height, false, y, wy);
   } else {
@@ -160,6 +186,25 @@ void btfi_cmf_parabolic(const float direction[3], float ab[2]) {
 void btfi_cmf_from_parabolic(const float ab[2], float direction[3]) {
   const double a = (double)ab[0], b = (double)ab[1];
   unit(2.0 * a, 2.0 * b, 1.0 - a * a - b * b, direction);
+}
+
+void btfi_cmf_cube(const float direction[3], float ab[2]) {
+  const double x = (double)direction[0], y = (double)direction[1];
+  const double z = direction[2] > 0.0f ? (double)direction[2] : 0.0;
+  if (z >= fabs(x) && z >= fabs(y)) {
+    ab[0] = z > 0.0 ? (float)(0.5 * x / z) : 0.0f;
+    ab[1] = z > 0.0 ? (float)(0.5 * y / z) : 0.0f;
+  } else if (fabs(x) * (double)CMF_CUBE_BIAS >= fabs(y)) {
+    ab[0] = (float)copysign(1.0 - 0.5 * z / fabs(x), x);
+    ab[1] = (float)(0.5 * y / fabs(x));
+  } else {
+    ab[0] = (float)(0.5 * x / fabs(y));
+    ab[1] = (float)copysign(1.0 - 0.5 * z / fabs(y), y);
+  }
+}
+
+void btfi_cmf_from_cube(const float ab[2], float direction[3]) {
+  from_cube((double)ab[0], (double)ab[1], direction);
 }
 
 void btfi_cmf_half(const float light[3], const float view[3], float half[3]) {

@@ -265,7 +265,9 @@ static btf_status run(search *s, double from) {
   for (uint32_t terms = first; terms <= last && !met; terms++) {
     const double to = from + (found - from) / (last - terms + 1);
     if (s->stage != NULL) s->stage->terms = terms;
-    BTF_TRY(try_terms(s, from, to, &met));
+    const btf_status status = try_terms(s, from, to, &met);
+    if (status == BTF_E_LIMIT && terms > first) break; /* more terms do not fit the working set */
+    BTF_TRY(status);
     from = to;
   }
   if (!met)

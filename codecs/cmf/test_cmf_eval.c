@@ -103,7 +103,7 @@ static void test_batches_and_instruction_sets(void **unused) {
   static btf_query queries[QUERIES];
   static float reference[QUERIES][8], columns[8][QUERIES];
   const char *const sets[] = {"scalar", "avx2", "avx512", "neon"};
-  const uint32_t channels[CMF_CASES] = {3, 1, 5, 4, 2, 8};
+  const uint32_t channels[CMF_CASES] = {3, 1, 5, 4, 2, 1, 2, 8};
   float *out[8];
   for (int c = 0; c < 8; c++) out[c] = columns[c];
   make_queries(queries);

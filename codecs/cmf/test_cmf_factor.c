@@ -32,16 +32,41 @@ static double distance(const float a[3], const float b[3]) {
 
 /* ---- maps: PAR01, PAR07 ---- */
 
-static void test_parabolic_is_a_bijection(void **unused) {
+static void test_maps_are_bijections(void **unused) {
   (void)unused;
   for (int n = 0; n < 20000; n++) {
-    float d[3], back[3], ab[2];
+    float d[3], back[3], ab[2], again[2];
     draw_direction(d);
     btfi_cmf_parabolic(d, ab);
     assert_true(ab[0] * ab[0] + ab[1] * ab[1] <= 1.0f + 1e-6f);
     btfi_cmf_from_parabolic(ab, back);
     assert_near(distance(d, back), 0.0, 1e-6);
+    btfi_cmf_cube(d, ab);
+    assert_true(fmaxf(fabsf(ab[0]), fabsf(ab[1])) <= 1.0f);
+    assert_true(fminf(fabsf(ab[0]), fabsf(ab[1])) <= 0.5f * CMF_CUBE_BIAS);
+    btfi_cmf_from_cube(ab, back);
+    assert_near(distance(d, back), 0.0, 1e-6);
+    /* Every place of the cross is that of one direction. */
+    const float place[2] = {2.0f * draw() - 1.0f, draw() - 0.5f};
+    for (int k = 0; k < 2; k++) {
+      const float here[2] = {place[k], place[1 - k]};
+      btfi_cmf_from_cube(here, d);
+      btfi_cmf_cube(d, again);
+      assert_near(here[0], again[0], 1e-6);
+      assert_near(here[1], again[1], 1e-6);
+    }
   }
+  /* Over the edge of the top and over the horizon nothing jumps. */
+  float above[2], below[2];
+  btfi_cmf_cube((const float[]){0.6f, 0.1f, 0.6000001f}, above);
+  btfi_cmf_cube((const float[]){0.6f, 0.1f, 0.5999999f}, below);
+  assert_near(above[0], below[0], 1e-6);
+  assert_near(above[1], below[1], 1e-6);
+  /* Beside a diagonal the side is that of x, whichever way a direction was rounded. */
+  btfi_cmf_cube((const float[]){0.6f, 0.6000002f, 0.5f}, above);
+  btfi_cmf_cube((const float[]){0.6000002f, 0.6f, 0.5f}, below);
+  assert_near(above[0], below[0], 1e-6);
+  assert_near(above[1], below[1], 1e-6);
   const float strange[][3] = {{NAN, 0, 1}, {INFINITY, 0, 1}, {0, 0, -1}, {1e38f, -1e38f, 0}, {0, 0, 0}};
   for (size_t i = 0; i < 5; i++) {
     btfi_cmf_tap tap;
@@ -438,8 +463,10 @@ static void test_planted_factors(void **unused) {
     const char *chain;
     planted_fn f;
   } cases[] = {{"h,io", three_factors}, {"hd,io", four_factors}};
-  for (size_t i = 0; i < 2; i++) {
+  for (size_t n = 0; n < 4; n++) {
+    const size_t i = n / 2;
     btfi_cmf_settings s = settings_of(cases[i].chain);
+    s.map = n % 2 == 0 ? CMF_PARABOLIC : CMF_CUBE;
     s.residue = CMF_WEIGHTED;
     s.resolution = 24;
     s.sweeps = 12;
@@ -451,8 +478,8 @@ static void test_planted_factors(void **unused) {
     bench_close(&b);
     s.sweeps = 0;
     const double paper = plant_and_factor("ubo81", &s, cases[i].f);
-    print_message("planted %s: error %.5f, without sweeps %.5f; resampling alone %.5f\n", cases[i].chain,
-                  error, paper, floor);
+    print_message("planted %s, %s maps: error %.5f, without sweeps %.5f; resampling alone %.5f\n",
+                  cases[i].chain, s.map == CMF_CUBE ? "cube" : "parabolic", error, paper, floor);
     assert_true(error < floor);
     assert_true(paper < 2.0 * floor);
   }
@@ -598,7 +625,7 @@ static void test_degenerate_data(void **unused) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_parabolic_is_a_bijection),
+      cmocka_unit_test(test_maps_are_bijections),
       cmocka_unit_test(test_maps),
       cmocka_unit_test(test_texels_that_are_read),
       cmocka_unit_test(test_corners_are_extrapolated),

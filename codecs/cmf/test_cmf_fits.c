@@ -20,6 +20,8 @@ const char *const cmf_cases[CMF_CASES] = {
     "codebook=300 storage=f32 method=nonnegative chain=h,io:2 cluster=tree",
     "codebook=6 rotate=1 factors=4 resolution=6 storage=f16 cluster=mediancut",
     "codebook=0 method=homomorphic edge=12",
+    "codebook=12 map=cube edge=32",
+    "codebook=0 map=cube edge=16 factors=4 resolution=6 rotate=1 storage=f32 sweeps=0",
     "codebook=5 edge=9 average=uniform grid=parabolic residue=ratio symmetric=1 chain=h,io samples=20",
 };
 

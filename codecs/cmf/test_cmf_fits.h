@@ -41,7 +41,7 @@ static inline const btfi_cmf_state *state_of(const btf_model *model) {
 }
 
 /* Settings that between them reach every storage, method and kind of codebook. */
-enum { CMF_CASES = 6 };
+enum { CMF_CASES = 8 };
 extern const char *const cmf_cases[CMF_CASES];
 
 #endif

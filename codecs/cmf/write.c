@@ -327,7 +327,8 @@ static btf_status write_head(const btfi_cmf_fitting *f) {
                         .levels = f->levels,
                         .stages = f->settings.stage_count};
   head.flags = (f->entries > 0 ? CMF_FLAG_CODEBOOK : 0) | (f->rotate ? CMF_FLAG_ROTATED : 0) |
-               (f->settings.method == CMF_SVD ? CMF_FLAG_SIGNED : 0);
+               (f->settings.method == CMF_SVD ? CMF_FLAG_SIGNED : 0) |
+               (f->settings.map == CMF_CUBE ? CMF_FLAG_CUBE : 0);
   for (uint32_t s = 0; s < head.stages; s++) {
     const btfi_cmf_stage *stage = &f->settings.stage[s];
     head.stage[s].projection[0] = stage->pair->projection[0];
