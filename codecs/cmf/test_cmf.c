@@ -26,9 +26,9 @@ static void test_sizes(void **unused) {
   btf_context *ctx = test_context(&memory);
   material small = material_create(ctx, ROTATED, "grid:5x3", 17, 16, 3);
   material square = material_create(ctx, ROTATED, "grid:4x2", 16, 16, 3);
-  material large = material_create(ctx, BUMPS, "grid:3x1", 64, 64, 3);
-  btf_model *clustered = cmf_fit(ctx, &small, "codebook=256 levels=1 resolution=8");
-  btf_model *own = cmf_fit(ctx, &square, "codebook=0 levels=1 resolution=8");
+  material large = material_create(ctx, BUMPS, "one", 64, 64, 3);
+  btf_model *clustered = cmf_fit(ctx, &small, "codebook=256 levels=1 resolution=4");
+  btf_model *own = cmf_fit(ctx, &square, "codebook=0 levels=1 resolution=4");
   btf_model *many = cmf_fit(ctx, &large, "codebook=0 levels=1 resolution=4 sweeps=0");
   assert_int_equal(chunk_bytes(clustered, CMF_TAG_MAPS), 2359296);
   assert_int_equal(chunk_bytes(clustered, CMF_TAG_INDEX), 3 * 17 * 16);
@@ -55,7 +55,7 @@ static void check_normalisation(uint32_t map, const char *const models[3]) {
   /* In float, normalising changes nothing: the decoded error is that of the maps as they were factored. */
   btfi_cmf_settings settings = {.residue = CMF_WEIGHTED,
                                 .grid = CMF_ANGULAR,
-                                .resolution = 32,
+                                .resolution = 12,
                                 .map = map,
                                 .edge = 32,
                                 .sweeps = 1,
@@ -98,11 +98,12 @@ static void check_normalisation(uint32_t map, const char *const models[3]) {
 }
 
 static void test_normalisation(void **unused) {
-  static const char *const parabolic[] = {"codebook=0 storage=f32 levels=1", "codebook=0 storage=u8 levels=1",
-                                          "codebook=0 storage=f16 levels=1"};
-  static const char *const cube[] = {"codebook=0 storage=f32 levels=1 map=cube",
-                                     "codebook=0 storage=u8 levels=1 map=cube",
-                                     "codebook=0 storage=f16 levels=1 map=cube"};
+  static const char *const parabolic[] = {"codebook=0 storage=f32 levels=1 resolution=12",
+                                          "codebook=0 storage=u8 levels=1 resolution=12",
+                                          "codebook=0 storage=f16 levels=1 resolution=12"};
+  static const char *const cube[] = {"codebook=0 storage=f32 levels=1 resolution=12 map=cube",
+                                     "codebook=0 storage=u8 levels=1 resolution=12 map=cube",
+                                     "codebook=0 storage=f16 levels=1 resolution=12 map=cube"};
   (void)unused;
   check_normalisation(CMF_PARABOLIC, parabolic);
   check_normalisation(CMF_CUBE, cube);
@@ -114,7 +115,7 @@ static void test_codebooks(void **unused) {
   (void)unused;
   btf_context *ctx = test_context(&memory);
   material m = material_create(ctx, BUMPS, "grid:6x3", 12, 12, 3);
-  btf_model *own = cmf_fit(ctx, &m, "codebook=0 levels=1 edge=16");
+  btf_model *own = cmf_fit(ctx, &m, "codebook=0 levels=1 edge=16 resolution=12");
   const double least = relative_error(own, &m);
   const char *const kinds[] = {"kmeans", "tree", "mediancut"};
   btf_model_release(own);
@@ -122,7 +123,8 @@ static void test_codebooks(void **unused) {
     double before = INFINITY;
     for (uint32_t entries = 4; entries <= 256; entries *= 8) {
       char settings[96];
-      snprintf(settings, sizeof settings, "codebook=%u cluster=%s levels=1 edge=16", entries, kinds[k]);
+      snprintf(settings, sizeof settings, "codebook=%u cluster=%s levels=1 edge=16 resolution=12", entries,
+               kinds[k]);
       btf_model *model = cmf_fit(ctx, &m, settings);
       const double error = relative_error(model, &m);
       print_message("%s: relative error %.4f; own maps %.4f\n", settings, error, least);
@@ -271,11 +273,11 @@ static void test_wild_factors(void **unused) {
   material m = material_create(ctx, CONSTANT, "grid:10x5", 2, 1, 1);
   btf_model *model;
   for (uint32_t i = 0; i < 2 * m.count * m.count; i++) m.samples[i] = fmaxf(0.0f, cmf_draw() - 0.5f);
-  assert_status(
-      cmf_try_fit(ctx, &m, "method=homomorphic lambda=0.0001 log_floor=0.000001 levels=1", NULL, &model),
-      BTF_E_NUMERIC);
+  assert_status(cmf_try_fit(ctx, &m, "method=homomorphic lambda=0.0001 log_floor=0.000001 levels=1 edge=16",
+                            NULL, &model),
+                BTF_E_NUMERIC);
   assert_message_has("lambda");
-  btf_model_release(cmf_fit(ctx, &m, "method=homomorphic levels=1"));
+  btf_model_release(cmf_fit(ctx, &m, "method=homomorphic levels=1 edge=16"));
   material_release(&m);
   test_context_done(ctx, &memory);
 }
