@@ -143,6 +143,8 @@ typedef struct search {
   trial now, best;                          /* best: the smallest codebook that meets the target */
   double error;                             /* least so far, and of which terms and entries */
   uint32_t terms, entries;
+  double met_error; /* of the smallest that meets the target, and its entries */
+  uint32_t met_entries;
 } search;
 
 /* Bytes of a payload, and what loading and measuring it take. */
@@ -172,6 +174,10 @@ static btf_status try_size(search *s, uint32_t entries, double from, double to, 
   f->used = used;
   BTF_TRY(status);
   *meets = error <= f->target;
+  if (*meets) {
+    s->met_error = error;
+    s->met_entries = entries;
+  }
   if (error < s->error) {
     s->error = error;
     s->terms = s->stage != NULL ? s->stage->terms : 1;
@@ -275,6 +281,10 @@ static btf_status run(search *s, double from) {
                  "cmf: %u terms of the last stage reach an rmse of %.6g; %.6g was asked for (more max_terms "
                  "or max_codebook, a larger edge or working set, another storage)",
                  s->terms, sqrt(s->error / samples), sqrt(f->target / samples));
+  else
+    f->host->log(f->ctx, BTF_LOG_INFO,
+                 "cmf: codebooks of %u entries (0 = none) and %u terms decode to an rmse of %.6g",
+                 s->met_entries, s->stage != NULL ? s->stage->terms : 1, sqrt(s->met_error / samples));
   return write_result(s, met, found, 0.99);
 }
 
