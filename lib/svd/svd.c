@@ -16,8 +16,7 @@ static const double noise = 2e-7;
 static const double float_rounding = 6e-8;
 
 enum {
-  BLOCK_BYTES =
-      10 << 20, /* met twice, so it should still be in L3 the second time; wider ones read longer runs */
+  BLOCK_BYTES = 20 << 20, /* met twice, so much of it should be in L3 still; wider ones read longer runs */
   SMALLEST_BLOCK = 64,
   LARGEST_BLOCK = 8192,
   RUN = 32,

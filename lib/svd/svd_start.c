@@ -9,6 +9,8 @@
 enum { SAMPLE_ROUNDS = 8, COARSE = 4 };
 /* Of the Gram matrix of C with columns of one length: beyond it, float's rounding is magnified too much. */
 static const double raw_spread = 1e4;
+/* The least part of a round's gain that the next one is taken to bring. */
+static const double slowest_fall = 0.1;
 
 static uint64_t sample_block(const svd_state *s, uint64_t b) {
   return s->plan.held ? b * s->plan.block_count / s->plan.sample_blocks : b;
@@ -95,6 +97,7 @@ btf_status btfi_svd_start(svd_state *s) {
   bool raw = true;
   for (;;) {
     const double items_used = (double)items / (double)step;
+    double gain_before = 0;
     for (int round = 0; round < SAMPLE_ROUNDS; round++) {
       BTFI_TRY(sample_round(s, step, raw, &energy));
       captured = 0;
@@ -105,10 +108,13 @@ btf_status btfi_svd_start(svd_state *s) {
       }
       BTFI_TRY(btfi_svd_report(s, 0.1 + 0.05 * (round + 1) / SAMPLE_ROUNDS + (step > 1 ? 0 : 0.05)));
       /* The sample differs from the matrix by about rank / items of the rest or more: no use in being much
-       * more exact in it, and rounds to come gain far less than this one. */
+       * more exact in it. Gains fall from round to round, if not as fast for ever as from the first to the
+       * second. */
       const double noise = fmax(0, energy - captured) * plan->rank / items_used;
-      if (!raw && gain <= fmax(noise, 1e-7 * energy)) break;
+      const double next = gain * fmax(slowest_fall, gain_before > 0 ? gain / gain_before : 1);
+      if (!raw && next <= fmax(noise, 1e-7 * energy)) break;
       raw = s->spread > raw_spread;
+      gain_before = gain;
     }
     if (step == 1) break;
     step = 1;
