@@ -236,6 +236,44 @@ static void test_rank_one_of_equal_rows(void **state) {
   }
 }
 
+static void count_warnings(void *user, int32_t level, btf_status code, const char *message) {
+  (void)code;
+  (void)message;
+  if (level == BTF_LOG_WARNING) ++*(long *)user;
+}
+
+/* Float sums of equal values all err the same way, and each half step seems to gain that much for ever. */
+static void test_one_value(void **state) {
+  static const uint64_t sizes[][2] = {{24, 256}, {256, 24}, {300, 700}, {1, 50}};
+  (void)state;
+  for (size_t n = 0; n < sizeof sizes / sizeof *sizes; n++) {
+    test_memory memory = {0};
+    btf_context_desc settings = BTF_CONTEXT_DESC_INIT;
+    btf_context *ctx = NULL;
+    long warnings = 0;
+    const btf_allocator allocator = test_allocator(&memory);
+    settings.allocator = &allocator;
+    settings.log = count_warnings;
+    settings.log_user = &warnings;
+    assert_ok(btf_context_create(&settings, &ctx));
+    matrix m = matrix_alloc(sizes[n][0], sizes[n][1]);
+    for (uint64_t k = 0; k < m.items * m.length; k++) m.values[k] = 0.17681884765625f;
+    for (int tight = 0; tight < 2; tight++) {
+      btf_svd_desc desc = describe(&m, 16);
+      btf_svd_result r = fresh();
+      if (tight) desc.max_working_set = smallest_budget(ctx, desc) + 20000;
+      assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
+      assert_int_equal(r.rank, 1);
+      assert_int_equal(warnings, 0);
+      /* A sample or none, a pass, one that sees no growth, and the reading for the residual. */
+      assert_true(r.passes <= 4);
+      btfi_svd_free(ctx, &r);
+    }
+    matrix_free(&m);
+    test_context_done(ctx, &memory);
+  }
+}
+
 static void test_small_shapes(void **state) {
   (void)state;
   test_memory memory;
@@ -525,14 +563,23 @@ static void test_threads_agree(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_matches_lapack),        cmocka_unit_test(test_small_budget),
-      cmocka_unit_test(test_streamed_equals_held),  cmocka_unit_test(test_rare_features),
-      cmocka_unit_test(test_tolerance_is_met),      cmocka_unit_test(test_small_budget_for_a_target),
-      cmocka_unit_test(test_rank_deficient),        cmocka_unit_test(test_rank_one_of_equal_rows),
-      cmocka_unit_test(test_small_shapes),          cmocka_unit_test(test_zero_matrix),
-      cmocka_unit_test(test_tiny_residual),         cmocka_unit_test(test_target),
-      cmocka_unit_test(test_error_falls_with_rank), cmocka_unit_test(test_deterministic),
-      cmocka_unit_test(test_kernels_agree),         cmocka_unit_test(test_scale),
+      cmocka_unit_test(test_matches_lapack),
+      cmocka_unit_test(test_small_budget),
+      cmocka_unit_test(test_streamed_equals_held),
+      cmocka_unit_test(test_rare_features),
+      cmocka_unit_test(test_tolerance_is_met),
+      cmocka_unit_test(test_small_budget_for_a_target),
+      cmocka_unit_test(test_rank_deficient),
+      cmocka_unit_test(test_rank_one_of_equal_rows),
+      cmocka_unit_test(test_one_value),
+      cmocka_unit_test(test_small_shapes),
+      cmocka_unit_test(test_zero_matrix),
+      cmocka_unit_test(test_tiny_residual),
+      cmocka_unit_test(test_target),
+      cmocka_unit_test(test_error_falls_with_rank),
+      cmocka_unit_test(test_deterministic),
+      cmocka_unit_test(test_kernels_agree),
+      cmocka_unit_test(test_scale),
       cmocka_unit_test(test_threads_agree),
   };
   return btf_run("svd", tests);

@@ -80,6 +80,25 @@ static btf_status sample_round(svd_state *s, uint64_t step, bool raw, double *en
   return btfi_svd_next_basis(s);
 }
 
+/* Orthonormal columns from `first` on, of random directions outside those before. */
+static btf_status fill_at_random(svd_state *s, uint32_t first, uint32_t end) {
+  const size_t width = s->plan.width, length = (size_t)s->desc->length;
+  if (first >= end) return BTF_OK;
+  /* That many elements make random columns nearly orthogonal, and all can be straightened at once. */
+  if (length >= 8 * (size_t)end) {
+    const float scale = (float)(1 / sqrt((double)length));
+    for (size_t j = 0; j < length; j++)
+      for (uint32_t c = first; c < end; c++) s->basis[j * width + c] = scale * btfi_random_normal(&s->random);
+    return btfi_svd_straighten(s, s->basis, s->plan.length_padded, end);
+  }
+  for (uint32_t c = first; c < end; c++) {
+    for (size_t j = 0; j < s->plan.length_padded; j++)
+      s->direction[j] = j < length ? btfi_random_normal(&s->random) : 0;
+    btfi_svd_set_direction(s, s->direction, c);
+  }
+  return BTF_OK;
+}
+
 btf_status btfi_svd_start(svd_state *s) {
   const svd_plan *plan = &s->plan;
   const uint64_t smaller = BTFI_MIN(s->desc->items, s->desc->length);
@@ -127,10 +146,5 @@ btf_status btfi_svd_start(svd_state *s) {
   s->mean_rest = fmax(0, energy - within) / (double)items;
 
   /* A sample poorer than the matrix may be leaves columns free: they take random directions. */
-  for (uint32_t c = s->found; c < BTFI_MIN(plan->width, smaller); c++) {
-    for (size_t j = 0; j < plan->length_padded; j++)
-      s->direction[j] = j < s->desc->length ? btfi_random_normal(&s->random) : 0;
-    btfi_svd_set_direction(s, s->direction, c);
-  }
-  return BTF_OK;
+  return fill_at_random(s, s->found, (uint32_t)BTFI_MIN(plan->width, smaller));
 }
