@@ -180,7 +180,7 @@ static int run(cli *c) {
 static const cli_option options_table[] = {
     CLI_OPTION_OUTPUT("data-set folder to write (.btfd)"),
     {"list", 'l', NULL, "list the materials and stop", CLI_OPTION_UNRECORDED},
-    {"size", 's', "WxH", "texels of the tile (default 64x64)", 0},
+    {"size", 's', "WxH", "texels of the square tile (default 64x64)", 0},
     {"directions", 'd', "D",
      "lights and views: ubo81 (default), ubo151, grid:PxT (azimuths x elevations),\n"
      "or a file with three numbers a line",
