@@ -279,7 +279,11 @@ static btf_status set_target(btfi_cmf_fitting *f, const btf_options *options, do
   if (psnr > 0.0) {
     btf_statistics statistics = {.struct_size = sizeof statistics};
     BTF_TRY(host->measure(f->ctx, f->ds, f->budget, NULL, &statistics, f->job, 0.0, to));
-    f->target = fmin(f->target, statistics.peak * statistics.peak * pow(10.0, -psnr / 10.0) * samples);
+    const double of_psnr = statistics.peak * statistics.peak * pow(10.0, -psnr / 10.0) * samples;
+    if (of_psnr < f->target) {
+      f->target = of_psnr;
+      f->target_psnr = psnr;
+    }
   }
   return BTF_OK;
 }

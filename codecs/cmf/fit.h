@@ -49,7 +49,8 @@ typedef struct btfi_cmf_fitting {
   uint64_t wanted_samples,
       samples; /* texels that codebooks are trained on; those of them there is room for */
   bool has_target;
-  double target; /* squared error of the finest level */
+  double target;      /* squared error of the finest level */
+  double target_psnr; /* that it stands for, 0 if it is an rmse */
   double lambda, floor;
   uint32_t width, height, channels, lights, views, pairs;
   uint32_t levels;

@@ -277,10 +277,8 @@ static btf_status run(search *s, double from) {
     from = to;
   }
   if (!met)
-    f->host->log(f->ctx, BTF_LOG_WARNING,
-                 "cmf: %u terms of the last stage reach an rmse of %.6g; %.6g was asked for (more max_terms "
-                 "or max_codebook, a larger edge or working set, another storage)",
-                 s->terms, sqrt(s->error / samples), sqrt(f->target / samples));
+    btf_warn_missed(f->host, f->ctx, "cmf", s->terms, "terms of the last stage", s->error, f->target, samples,
+                    f->target_psnr);
   else
     f->host->log(f->ctx, BTF_LOG_INFO,
                  "cmf: codebooks of %u entries (0 = none) and %u terms decode to an rmse of %.6g",

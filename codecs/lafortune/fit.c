@@ -219,8 +219,8 @@ static btf_status fit_finest(fitting *f) {
     if (sqrt(f->head.squared_error / sample_count(f)) <= f->rmse) break;
   }
   if (f->rmse > 0.0 && sqrt(f->head.squared_error / sample_count(f)) > f->rmse)
-    f->host->log(f->ctx, BTF_LOG_WARNING, "lafortune: %u lobes reach an rmse of %.6g; %.6g was asked for",
-                 f->head.lobes, sqrt(f->head.squared_error / sample_count(f)), f->rmse);
+    btf_warn_missed(f->host, f->ctx, "lafortune", f->head.lobes, "lobes", f->head.squared_error,
+                    f->rmse * f->rmse * sample_count(f), sample_count(f), 0.0);
   return BTF_OK;
 }
 
