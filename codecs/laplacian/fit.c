@@ -117,8 +117,8 @@ static btf_status fit_means(btfi_laplacian_fitting *f, const btf_dataset_desc *d
       head->chroma_rms[c - 1] = sqrt(squares / (double)pairs);
     }
   }
-  BTF_TRY(btfi_laplacian_fit_phong(f->host, f->ctx, desc->lights, desc->views, mean, &head->phong,
-                                   &head->mean_residual));
+  BTF_TRY(btfi_laplacian_fit_phong(f->host, f->ctx, desc->lights, desc->views, desc->quantity, mean,
+                                   &head->phong, &head->mean_residual));
   const float *lights = f->host->dirset_directions(desc->lights),
               *views = f->host->dirset_directions(desc->views);
   for (uint64_t i = 0; i < pairs; i++)

@@ -127,10 +127,12 @@ typedef struct btfi_laplacian_phong {
   double ka, kd, ks, alpha;
 } btfi_laplacian_phong;
 #define LAPLACIAN_LARGEST_ALPHA 4096.0
-/* Least squares over all pairs of values[(view * lights + light) * 3]; *rms is what is left. */
+/* Least squares over all pairs of values[(view * lights + light) * 3]; *rms is what is left. Where directions
+ * do not tell terms apart, ka goes before kd, and kd before ka for data that hold the cosine; ks comes last.
+ * No lobe is more than twice as high between the samples as at the highest of them. */
 btf_status btfi_laplacian_fit_phong(const btf_host *host, btf_context *ctx, const btf_dirset *lights,
-                                    const btf_dirset *views, const double *values, btfi_laplacian_phong *out,
-                                    double *rms);
+                                    const btf_dirset *views, uint32_t quantity, const double *values,
+                                    btfi_laplacian_phong *out, double *rms);
 float btfi_laplacian_phong_value(const btfi_laplacian_phong *phong, const float light[3],
                                  const float view[3]);
 
