@@ -119,7 +119,7 @@ bool btfi_lafortune_make_base(const btfi_lafortune_shared *shared, btfi_lafortun
 void btfi_lafortune_add_dots(const btfi_lafortune_shared *shared, const float *a, uint32_t a_count,
                              const float *b, uint32_t b_count, bool upper, double *sums, size_t sums_ld);
 
-/* ---- fit of one group of channels of one texel (solve.c, albedos.c) ---- */
+/* ---- fit of one group of channels of one texel (solve.c, point.c, albedos.c) ---- */
 
 typedef struct btfi_lafortune_settings {
   uint32_t lobes, starts, iterations;
