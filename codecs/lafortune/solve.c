@@ -94,7 +94,8 @@ static void evaluate_shapes(btfi_lafortune_scratch *s, const float (*shape)[LAF_
 }
 
 /* Errors sample by sample, in double. */
-static void measure(btfi_lafortune_scratch *s, const btfi_lafortune_point *p, btfi_lafortune_fitted *out) {
+static void measure_point(btfi_lafortune_scratch *s, const btfi_lafortune_point *p,
+                          btfi_lafortune_fitted *out) {
   const btfi_lafortune_shared *shared = s->shared;
   out->cost = out->squared_error = out->energy = 0.0;
   for (uint32_t first = 0; first < shared->samples; first += LAF_CHUNK) {
@@ -125,7 +126,16 @@ void btfi_lafortune_fit_albedos(btfi_lafortune_scratch *s, btfi_lafortune_fitted
   btfi_lafortune_point *p = &s->points[0];
   evaluate_shapes(s, (const float(*)[LAF_MAX_SHAPE])io->shape);
   give_albedos(s, p, order, io);
-  measure(s, p, io);
+}
+
+void btfi_lafortune_measure(btfi_lafortune_scratch *s, btfi_lafortune_fitted *io) {
+  btfi_lafortune_point *p = &s->points[0];
+  for (uint32_t c = 0; c < s->channels; c++) {
+    p->albedo[0][c] = io->albedo[0][c] / s->unit;
+    for (uint32_t j = 0; j < s->lobes; j++)
+      p->albedo[1 + j][c] = io->albedo[1 + j][c] * height_of(&p->lobe[j]) / s->unit;
+  }
+  measure_point(s, p, io);
 }
 
 double btfi_lafortune_cost_gradient(btfi_lafortune_scratch *s, const float *values, uint32_t stride,
@@ -138,6 +148,6 @@ double btfi_lafortune_cost_gradient(btfi_lafortune_scratch *s, const float *valu
   btfi_lafortune_make_equations(s, &s->points[0], &e);
   for (uint32_t v = 0; v < e.n; v++)
     gradient[v] = -2.0 * (s->unit * s->unit) * e.slope[v] / btfi_lafortune_unit_of(s, &s->points[0], v);
-  measure(s, &s->points[0], &fitted);
+  measure_point(s, &s->points[0], &fitted);
   return fitted.cost;
 }
