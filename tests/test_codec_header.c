@@ -61,6 +61,35 @@ static btf_status stop_at(btf_status status, int *reached) {
   return BTF_OK;
 }
 
+typedef struct heard {
+  int32_t level;
+  char text[256];
+} heard;
+
+static void listen(void *user, int32_t level, btf_status code, const char *message) {
+  heard *h = user;
+  (void)code;
+  h->level = level;
+  snprintf(h->text, sizeof h->text, "%s", message);
+}
+
+/* Twice the squared error of the target is 10 log10 2 = 3.01 dB less, and an rmse root 2 times as large. */
+static void missed_targets_are_told_as_asked(void **state) {
+  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
+  btf_context *ctx;
+  heard h = {0};
+  (void)state;
+  desc.log = listen;
+  desc.log_user = &h;
+  assert_ok(btf_context_create(&desc, &ctx));
+  btf_warn_missed(btfi_host(), ctx, "some", 7, "terms", 0.32, 0.16, 4.0, 40.0);
+  assert_int_equal(h.level, BTF_LOG_WARNING);
+  assert_string_equal(h.text, "some: 7 terms reach a psnr of 36.99 dB; 40 dB was asked for");
+  btf_warn_missed(btfi_host(), ctx, "some", 7, "terms", 0.32, 0.16, 4.0, 0.0);
+  assert_string_equal(h.text, "some: 7 terms reach an rmse of 0.282843; 0.2 was asked for");
+  btf_context_release(ctx);
+}
+
 static const char *const kinds[] = {"one", "two", NULL};
 BTF_PARAM(rounds, BTF_PARAM_INT, "rounds of the search", "rounds", "3", NULL, 1, 64);
 BTF_PARAM(kind, BTF_PARAM_CHOICE, "kind of the search", NULL, "two", kinds, 0, 0);
@@ -121,9 +150,8 @@ static void chunks_have_their_size(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(fields_are_little_endian),
-      cmocka_unit_test(random_numbers),
-      cmocka_unit_test(statuses_and_parameters),
+      cmocka_unit_test(fields_are_little_endian),         cmocka_unit_test(random_numbers),
+      cmocka_unit_test(missed_targets_are_told_as_asked), cmocka_unit_test(statuses_and_parameters),
       cmocka_unit_test(chunks_have_their_size),
   };
   return btf_run("codec_header", tests);

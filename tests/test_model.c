@@ -356,6 +356,68 @@ static void nothing_infinite_leaves(void **state) {
   test_context_done(ctx, &memory);
 }
 
+/* Codecs that mistype an option, each through another entry of the host table. */
+static btf_status mistyped(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
+                           const btf_options *options, const btf_job *job, btf_chunk_writer *payload,
+                           int way) {
+  if (way == 0) assert_true(host->option(options, "gian") == 0.0);
+  if (way == 1) assert_null(host->option_text(options, "gian"));
+  if (way == 2) assert_int_equal(host->option_is_set(options, "gian"), 0);
+  if (way == 3) assert_true(host->option(options, NULL) == 0.0);
+  return copy_codec.fit(host, ctx, ds, options, job, payload);
+}
+#define MISTYPED(way)                                                                                        \
+  static btf_status mistyped##way(const btf_host *host, btf_context *ctx, const btf_dataset *ds,             \
+                                  const btf_options *options, const btf_job *job,                            \
+                                  btf_chunk_writer *payload) {                                               \
+    return mistyped(host, ctx, ds, options, job, payload, way);                                              \
+  }
+MISTYPED(0)
+MISTYPED(1)
+MISTYPED(2)
+MISTYPED(3)
+MISTYPED(4)
+
+/* Although the fit itself succeeds, and with options of the caller's and defaults; the options are good for
+ * the next fit. */
+static void mistyped_option_ends_the_fit(void **state) {
+  static btf_status (*const fits[])(const btf_host *, btf_context *, const btf_dataset *, const btf_options *,
+                                    const btf_job *, btf_chunk_writer *) = {mistyped0, mistyped1, mistyped2,
+                                                                            mistyped3, mistyped4};
+  static const char *const ids[] = {"org.libbtf.typo0", "org.libbtf.typo1", "org.libbtf.typo2",
+                                    "org.libbtf.typo3", "org.libbtf.right"};
+  (void)state;
+  for (int way = 0; way < 5; way++)
+    for (int given = 0; given < 2; given++) {
+      test_memory memory;
+      btf_context *ctx = test_context(&memory);
+      btf_codec_vtbl codec = copy_codec;
+      btf_options *options = NULL;
+      btf_model *model;
+      codec.id = ids[way];
+      codec.fit = fits[way];
+      assert_ok(btf_context_register(ctx, &codec));
+      btf_dataset *ds = copy_codec_dataset(ctx, 3, 2, 1, BTF_QUANTITY_BRDF);
+      const btf_codec *found = btf_codec_find(ctx, codec.id);
+      if (given) assert_ok(btf_options_create(found, &options));
+      for (int again = 0; again < 2; again++) {
+        const btf_status status = btf_model_fit(ds, found, options, NULL, &model);
+        if (way == 4) {
+          assert_ok(status);
+        } else {
+          assert_status(status, BTF_E_INVALID_ARG);
+          assert_null(model);
+          assert_message_has(ids[way]);
+          assert_message_has(way < 3 ? "\"gian\"" : "\"\"");
+        }
+        btf_model_release(model);
+      }
+      btf_options_release(options);
+      btf_dataset_release(ds);
+      test_context_done(ctx, &memory);
+    }
+}
+
 static void texel_and_level(void **state) {
   test_memory memory;
   btf_context *ctx = test_context(&memory);
@@ -556,6 +618,7 @@ int main(void) {
       cmocka_unit_test(batch_equals_single),
       cmocka_unit_test(unusable_batches),
       cmocka_unit_test(nothing_infinite_leaves),
+      cmocka_unit_test(mistyped_option_ends_the_fit),
       cmocka_unit_test(texel_and_level),
       cmocka_unit_test(sampling),
       cmocka_unit_test(evaluation_allocates_nothing),

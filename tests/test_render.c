@@ -231,26 +231,131 @@ static void environment_sampling(void **state) {
   }
 }
 
+/* Made once: it takes seconds to fall. */
+static mesh cloth;
+static mesh *fallen_cloth(void) {
+  if (cloth.vertex_count == 0) assert_int_equal(mesh_cloth(3.0f, &cloth), EXIT_DONE);
+  return &cloth;
+}
+
 static void shadows_fall(void **state) {
-  test_memory memory = {0};
-  btf_context *ctx = test_context(&memory);
-  const float albedo = 0.5f;
-  btf_model *model = diffuse_model(ctx, 1, 1, &albedo);
-  mesh cloth;
   scene s;
   scene_point p;
   (void)state;
-  assert_int_equal(mesh_cloth(3.0f, &cloth), EXIT_DONE);
-  assert_int_equal(scene_create(&cloth, &s), EXIT_DONE);
+  assert_int_equal(scene_create(fallen_cloth(), &s), EXIT_DONE);
   assert_true(scene_hit(&s, vec3_make(0, 0, 3), vec3_make(0, 0, -1), &p));
   assert_false(scene_blocked(&s, &p, vec3_make(0, 0, 1)));
-  assert_near(p.position.z, 0.55, 0.02); /* on top of the ball */
-  p.facet_normal = vec3_make(0, 0, -1);
+  assert_near(p.position.z, 0.55, 0.02);                                             /* on top of the ball */
+  p.lifted.z -= 0.01f;                                                               /* below the cloth */
   assert_true(scene_blocked(&s, &p, vec3_normalize(vec3_make(1.0f, 0.0f, -0.02f)))); /* out through a side */
   scene_free(&s);
-  mesh_free(&cloth);
+}
+
+/* Half a cylinder of radius 1 around y with few facets, and the exact normals at their corners. */
+static void half_cylinder(uint32_t facets, mesh *out) {
+  *out = (mesh){0};
+  assert_true(mesh_reserve(out, 2 * (facets + 1), 2 * facets));
+  for (uint32_t i = 0; i <= facets; i++) {
+    const double turn = pi * i / facets;
+    const vec3 normal = vec3_make((float)cos(turn), 0.0f, (float)sin(turn));
+    for (uint32_t end = 0; end < 2; end++)
+      out->vertices[2 * i + end] = (mesh_vertex){
+          {normal.x, end == 0 ? -2.0f : 2.0f, normal.z}, normal, (float)i / (float)facets, (float)end};
+  }
+  for (uint32_t i = 0; i < facets; i++) {
+    const uint32_t a = 2 * i, quad[6] = {a, a + 2, a + 3, a, a + 3, a + 1};
+    for (int k = 0; k < 6; k++) out->triangles[6 * i + (uint32_t)k] = quad[k];
+  }
+}
+
+/* A coarse mesh with smooth normals is lit as the smooth surface: nothing of its facets is seen where the
+ * light grazes. */
+static void coarse_cylinder_is_lit_smoothly(void **state) {
+  enum { FACETS = 16, WIDE = 96, HIGH = 24 };
+  test_memory memory = {0};
+  btf_context *ctx = test_context(&memory);
+  const float albedo = 0.6f;
+  btf_model *model = diffuse_model(ctx, 1, 1, &albedo);
+  mesh cylinder;
+  static float rgb[WIDE * HIGH * 3];
+  (void)state;
+  half_cylinder(FACETS, &cylinder);
+  /* Seen from the distance 10, picture 1.8 wide: rays lean by less than 0.09. */
+  const float half_height = 0.9f * HIGH / WIDE;
+  render_desc desc = {.width = WIDE, .height = HIGH, .light_irradiance = (float)pi};
+  desc.camera = render_camera_at(vec3_make(0, 0, 0), (float)(-pi / 2), (float)(pi / 2), 10.0f,
+                                 2 * atanf(half_height / 10));
+  for (int azimuth = -60; azimuth <= 240; azimuth += 60)
+    for (int elevation = 4; elevation <= 64; elevation += 12) {
+      const double a = azimuth * pi / 180, e = elevation * pi / 180;
+      desc.light = vec3_make((float)(cos(e) * cos(a)), (float)(cos(e) * sin(a)), (float)sin(e));
+      render(model, &cylinder, &desc, rgb);
+      for (int i = 0; i < WIDE * HIGH; i++) {
+        /* where the pixel's ray meets the true cylinder */
+        const double slope = ((i % WIDE + 0.5) / WIDE - 0.5) * 0.18;
+        const double b = 10 / (1 + slope * slope), t = b - sqrt(b * b - 99 / (1 + slope * slope));
+        const double x = slope * t, z = 10 - t;
+        const double cosine = x * (double)desc.light.x + z * (double)desc.light.z;
+        /* A facet lies at most s = 1 - cos(pi / 32) = 0.0049 below, and normals across it are those of its
+         * points seen from the axis. So the x of a normal is off by s on the way along the ray (times 0.09)
+         * and by s in length; with x below 0.9, where an angle is 1 / sin = 2.3 times its cosine, by 2.3
+         * * 1.09 * 0.9 s = 0.011 in angle, which the cosine follows. */
+        assert_near(rgb[3 * i], 0.6 * fmax(cosine, 0.0), 0.6 * 0.011);
+      }
+    }
+  mesh_free(&cylinder);
   btf_model_release(model);
   test_context_done(ctx, &memory);
+}
+
+/* Where the cloth lies over the ball nothing stands in the way of a low light: it is lit by the cosine of its
+ * smooth normal right to the edge of its own shadow, and a facet there turns from that by no more than a step
+ * of shading that one sees. */
+static void cloth_is_lit_smoothly(void **state) {
+  scene s;
+  uint32_t grazed = 0;
+  (void)state;
+  assert_int_equal(scene_create(fallen_cloth(), &s), EXIT_DONE);
+  for (uint32_t i = 0; i < 20000; i++) {
+    float x, y;
+    scene_point p;
+    sampling_pair(5, i, &x, &y);
+    assert_true(
+        scene_hit(&s, vec3_make(0.5f * (x - 0.5f), 0.5f * (y - 0.5f), 3.0f), vec3_make(0, 0, -1), &p));
+    assert_true(vec3_dot(p.normal, p.facet_normal) > cosf(1.5f * (float)pi / 180.0f));
+    for (int light = 0; light < 8; light++) {
+      const float a = (float)(light * pi / 4), e = (float)(12 * pi / 180);
+      const vec3 toward = vec3_make(cosf(e) * cosf(a), cosf(e) * sinf(a), sinf(e));
+      const float cosine = vec3_dot(p.normal, toward);
+      if (cosine <= 0.0f) continue;
+      grazed += cosine < 0.03f;
+      assert_false(scene_blocked(&s, &p, toward));
+    }
+  }
+  assert_true(grazed > 500);
+  scene_free(&s);
+}
+
+/* A texel is as long along u as along v, whatever the counts of the material. */
+static void texels_are_square(void **state) {
+  static int (*const makers[])(float, mesh *) = {mesh_plane, mesh_sphere};
+  const float width = 64.0f, height = 24.0f;
+  (void)state;
+  for (int m = 0; m < 2; m++) {
+    mesh surface;
+    scene s;
+    scene_point p;
+    assert_int_equal(makers[m](2.0f, &surface), EXIT_DONE);
+    mesh_scale_v(&surface, width / height);
+    assert_int_equal(scene_create(&surface, &s), EXIT_DONE);
+    const vec3 from = m == 1 ? vec3_make(0.01f, -3.0f, 0.01f) : vec3_make(0.01f, 0.02f, 3.0f);
+    assert_true(scene_hit(&s, from, vec3_scale(from, -1.0f / vec3_length(from)), &p));
+    const float across = vec3_length(p.dpdu) / width, up = vec3_length(p.dpdv) / height;
+    /* A hundredth off the equator: 1 - cos 0.01 = 5e-5; the rest is floats. */
+    assert_relative(across, up, 1e-4);
+    scene_free(&s);
+    mesh_free(&surface);
+  }
 }
 
 static void obj_files(void **state) {
@@ -287,7 +392,12 @@ int main(void) {
       cmocka_unit_test(mirrored_and_back_frames),
       cmocka_unit_test(environment_sampling),
       cmocka_unit_test(shadows_fall),
+      cmocka_unit_test(coarse_cylinder_is_lit_smoothly),
+      cmocka_unit_test(cloth_is_lit_smoothly),
+      cmocka_unit_test(texels_are_square),
       cmocka_unit_test(obj_files),
   };
-  return btf_run("render", tests);
+  const int status = btf_run("render", tests);
+  mesh_free(&cloth);
+  return status;
 }

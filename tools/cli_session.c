@@ -238,6 +238,8 @@ int cli_context(cli *c, btf_context **out) {
   for (int i = 0; i < cli_count(c, "plugin"); i++) {
     const char *path = cli_value_at(c, "plugin", i);
     if (path[0] != '/') return cli_usage(c, "--plugin is \"%s\"; it takes an absolute path", path);
+    if (access(path, R_OK) != 0)
+      return cli_fail(EXIT_IO, "%s: could not be opened: %s", path, strerror(errno));
     status = btf_context_load_plugin(c->context, path);
     if (status != BTF_OK) return cli_fail_library(status);
   }

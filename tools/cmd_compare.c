@@ -179,6 +179,14 @@ static int compare_all(cli *c, contestant *all, int files, uint64_t ssim_images)
   return failed;
 }
 
+/* Before hours of comparing: the sheet is a PNG file, and no other name may say otherwise. */
+static int check_sheet(const cli *c) {
+  const char *path = cli_value(c, "sheet");
+  const size_t length = path != NULL ? strlen(path) : 0;
+  if (path == NULL || (length > 4 && strcmp(path + length - 4, ".png") == 0)) return EXIT_DONE;
+  return cli_usage(c, "--sheet is \"%s\"; a contact sheet is a PNG file and its name ends in .png", path);
+}
+
 static int run(cli *c) {
   const int files = c->operand_count - 1;
   double most_rmse = INFINITY, least_psnr = -INFINITY;
@@ -187,6 +195,7 @@ static int run(cli *c) {
   int failed = cli_number(c, "max-rmse", 0, INFINITY, &most_rmse);
   if (!failed) failed = cli_number(c, "min-psnr", -INFINITY, INFINITY, &least_psnr);
   if (!failed) failed = cli_integer(c, "ssim-images", 0, INT64_MAX, &ssim_images);
+  if (!failed) failed = check_sheet(c);
   if (failed) return failed;
   all = calloc((size_t)files + 1, sizeof *all);
   if (all == NULL) return cli_out_of_memory();

@@ -149,7 +149,10 @@ static const cli_option options[] = {
     {"value", 0, "WHAT",
      "brdf (default): f in 1/sr, without the cosine;\nbrdf_cos: f times wiz; stored: as the file holds it",
      0},
-    {"nearest", 0, NULL, "nearest texel, light and view instead of interpolation", 0},
+    {"nearest", 0, NULL,
+     "nearest stored samples instead of interpolation; what a codec computes\nfrom a formula stays at the "
+     "directions given",
+     0},
     CLI_OPTIONS_END};
 
 const cli_command cmd_eval = {"eval",

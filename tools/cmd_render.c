@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "commands.h"
 #include "image/image.h"
@@ -15,13 +16,13 @@ static const cli_option options[] = {
      0},
     {"env", 0, "MAP", "light from all around: studio, sky, or a .hdr or .exr latitude-longitude map",
      CLI_OPTION_PATH},
-    {"rotate", 0, "DEG", "turns the environment about the vertical", 0},
+    {"rotate", 0, "DEG", "turns the environment (--env) about the vertical", 0},
     {"camera", 0, "AZ,EL", "where the camera stands, degrees (default -90,20; the plane's -90,50)", 0},
     {"distance", 0, "X", "of the camera from the centre; subjects have radius about 1 (default 3.6)", 0},
     {"size", 's', "WxH", "pixels (default 512x512)", 0},
     {"spp", 0, "N", "samples a pixel (default 16)", 0},
-    {"repeat", 0, "X", "tiles across the subject (default 3)", 0},
-    {"exposure", 0, "STOPS", "brighter or darker by powers of two (default 0)", 0},
+    {"repeat", 0, "X", "tiles across the subject (default 3); texels are square: X * W / H tiles go up", 0},
+    {"exposure", 0, "STOPS", "brighter or darker by powers of two (default 0), for PNG", 0},
     {"tone", 0, "CURVE", "clip, or filmic (default with --env), for PNG", 0},
     {"background", 0, "R,G,B",
      "linear colour behind the subject (default 0.18,0.18,0.18; with --env the map)", 0},
@@ -47,6 +48,31 @@ typedef struct render_settings {
   int tone;
 } render_settings;
 
+/* Anything that is no scene's name is the path of an OBJ file; a bare word that names no file is a wrong
+ * word. */
+static int check_scene(const cli *c, const char *name) {
+  static const char *const scenes[] = {"plane", "sphere", "cloth", NULL};
+  const char *nearest;
+  for (int i = 0; scenes[i] != NULL; i++)
+    if (strcmp(name, scenes[i]) == 0) return EXIT_DONE;
+  if (strchr(name, '/') != NULL || strchr(name, '.') != NULL || access(name, F_OK) == 0) return EXIT_DONE;
+  nearest = cli_near_miss(name, scenes);
+  if (nearest != NULL) return cli_usage(c, "no scene \"%s\"; did you mean %s?", name, nearest);
+  return cli_usage(c, "no scene \"%s\"; it takes plane, sphere, cloth or the path of an OBJ file", name);
+}
+
+/* Options that would have no effect are mistakes. */
+static int check_combination(const cli *c, const char *output) {
+  static const char *const of_pictures[] = {"exposure", "tone", NULL};
+  if (cli_has(c, "light") && cli_has(c, "env")) return cli_usage(c, "--light and --env exclude each other");
+  if (cli_has(c, "rotate") && !cli_has(c, "env"))
+    return cli_usage(c, "--rotate turns the environment; it goes with --env");
+  for (int i = 0; of_pictures[i] != NULL; i++)
+    if (cli_has(c, of_pictures[i]) && ends_with(output, ".exr"))
+      return cli_usage(c, "--%s is for PNG; an .exr file gets linear floats as they are", of_pictures[i]);
+  return EXIT_DONE;
+}
+
 static int read_settings(const cli *c, render_settings *s) {
   *s = (render_settings){.scene_name = "sphere",
                          .light = {-130.0, 50.0},
@@ -68,7 +94,8 @@ static int read_settings(const cli *c, render_settings *s) {
     s->camera[1] = 32.0;
     s->distance = 3.0;
   }
-  if (cli_has(c, "light") && cli_has(c, "env")) return cli_usage(c, "--light and --env exclude each other");
+  status = check_scene(c, s->scene_name);
+  if (status == EXIT_DONE) status = check_combination(c, s->output);
   if (status == EXIT_DONE) status = cli_numbers(c, "light", 2, s->light);
   if (status == EXIT_DONE) status = cli_numbers(c, "camera", 2, s->camera);
   if (status == EXIT_DONE) status = cli_numbers(c, "background", 3, s->background);
@@ -85,14 +112,21 @@ static int read_settings(const cli *c, render_settings *s) {
   return status;
 }
 
-static int make_surface(const render_settings *s, mesh *out) {
+static int make_surface(const render_settings *s, const btf_model *model, mesh *out) {
   const float repeat = (float)s->repeat;
-  if (strcmp(s->scene_name, "plane") == 0) return mesh_plane(repeat, out);
-  /* a seam shows unless whole tiles go around */
-  if (strcmp(s->scene_name, "sphere") == 0)
-    return mesh_sphere(fmaxf(roundf(2.0f * repeat), 1.0f) / 2.0f, out);
-  if (strcmp(s->scene_name, "cloth") == 0) return mesh_cloth(repeat, out);
-  return mesh_obj(s->scene_name, repeat, out);
+  btf_model_info info = BTF_MODEL_INFO_INIT;
+  int status;
+  if (strcmp(s->scene_name, "plane") == 0)
+    status = mesh_plane(repeat, out);
+  else if (strcmp(s->scene_name, "sphere") == 0) /* a seam shows unless whole tiles go around */
+    status = mesh_sphere(fmaxf(roundf(2.0f * repeat), 1.0f) / 2.0f, out);
+  else if (strcmp(s->scene_name, "cloth") == 0)
+    status = mesh_cloth(repeat, out);
+  else
+    status = mesh_obj(s->scene_name, repeat, out);
+  btf_model_describe(model, &info);
+  if (status == EXIT_DONE) mesh_scale_v(out, (float)info.width / (float)info.height);
+  return status;
 }
 
 static int write_picture(const render_settings *s, image *picture) {
@@ -146,7 +180,7 @@ static int run(cli *c) {
   if (loaded != BTF_OK) return cli_fail_library(loaded);
   if (environment_name != NULL) status = environment_load(environment_name, &map);
   map.rotation = radians(s.rotate);
-  if (status == EXIT_DONE) status = make_surface(&s, &subject);
+  if (status == EXIT_DONE) status = make_surface(&s, model, &subject);
   if (status == EXIT_DONE) status = scene_create(&subject, &surface);
   if (status == EXIT_DONE) status = draw(c, &s, model, &surface, environment_name != NULL ? &map : NULL);
   scene_free(&surface);

@@ -180,7 +180,7 @@ static int run(cli *c) {
 static const cli_option options_table[] = {
     CLI_OPTION_OUTPUT("data-set folder to write (.btfd)"),
     {"list", 'l', NULL, "list the materials and stop", CLI_OPTION_UNRECORDED},
-    {"size", 's', "WxH", "texels of the tile (default 64x64)", 0},
+    {"size", 's', "WxH", "texels of the square tile (default 64x64)", 0},
     {"directions", 'd', "D",
      "lights and views: ubo81 (default), ubo151, grid:PxT (azimuths x elevations),\n"
      "or a file with three numbers a line",
@@ -189,7 +189,7 @@ static const cli_option options_table[] = {
     {"bounces", 0, "N", "interreflections (default 3; 0 = direct light only)", 0},
     {"sampling", 0, "MODE", "area (default): samples spread over the texel; point: its centre", 0},
     {"seed", 0, "N", "seed of sampling and of the structure (default 0)", 0},
-    {"type", 't', "T", "sample type: u8, u16, f16 (default) or f32", 0},
+    {"type", 0, "T", "sample type: u8, u16, f16 (default) or f32", 0},
     {"order", 0, "O", "order of the samples: vlyxc (default, image by image) or yxvlc (texel by texel)", 0},
     CLI_OPTION_JSON,
     CLI_OPTIONS_END};

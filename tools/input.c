@@ -5,6 +5,7 @@
 #include <errno.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 uint64_t input_bytes_on_disk(const char *path) {
   struct stat info;
@@ -19,6 +20,27 @@ uint64_t input_bytes_on_disk(const char *path) {
       total += (uint64_t)info.st_size;
   closedir(folder);
   return total;
+}
+
+/* Whether a file lies beside a data set's manifest, or is one. */
+static bool is_part_of_folder(const char *path, char folder[4096]) {
+  char manifest[4096 + 16];
+  const char *slash = strrchr(path, '/');
+  const size_t length = slash != NULL ? (size_t)(slash - path) : 0;
+  if (length >= 4096) return false;
+  snprintf(folder, 4096, "%.*s", (int)(slash != NULL ? length : 1), slash != NULL ? path : ".");
+  snprintf(manifest, sizeof manifest, "%s/manifest.json", folder);
+  return access(manifest, F_OK) == 0;
+}
+
+/* A file that is no container. A part of a data set is a wrong word on the command line rather than a bad
+ * file.
+ */
+static int fail_file(const cli *c, const char *path, btf_status status) {
+  char folder[4096];
+  if (status == BTF_E_NOT_BTF && is_part_of_folder(path, folder))
+    return cli_usage(c, "%s: is a part of a data set; give its folder, %s", path, folder);
+  return cli_fail_library(status);
 }
 
 int input_open(cli *c, const char *path, input *out) {
@@ -36,7 +58,7 @@ int input_open(cli *c, const char *path, input *out) {
   else
     status = btf_file_open_path(ctx, path, 0, &out->file);
   if (status != BTF_OK) {
-    failed = cli_fail_library(status);
+    failed = S_ISDIR(info.st_mode) ? cli_fail_library(status) : fail_file(c, path, status);
     input_close(out);
     return failed;
   }

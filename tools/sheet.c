@@ -55,7 +55,6 @@ static void choose_sizes(sheet *s) {
   s->cell_side = few ? 256 : 128;
   s->label_scale = few ? 2 : 1;
   s->line_height = FONT_HEIGHT * s->label_scale + 4;
-  s->header_height = 3 * s->line_height + gap;
   s->label_width = 13 * FONT_WIDTH * s->label_scale;
 }
 
@@ -156,26 +155,55 @@ static int draw_cell(const sheet *s, image *page, int column, int row, float exp
   return failed;
 }
 
-static void draw_header(const sheet *s, image *page, int column, float gain, uint32_t times) {
+/* ---- headings ---- */
+
+enum { heading_lines = 3, heading_room = 300 };
+typedef char heading[heading_lines][heading_room];
+
+static void heading_of(const sheet *s, int column, float gain, heading lines) {
   const bool difference = column >= s->count;
   const sheet_column *k = &s->columns[difference ? column - s->count + 1 : column];
-  const int64_t x = s->label_width + (int64_t)column * (s->width * times + gap);
-  const int most = (int)(s->width * times / (FONT_WIDTH * s->label_scale));
   const char *base = strrchr(k->name, '/') != NULL ? strrchr(k->name, '/') + 1 : k->name;
-  char lines[3][64];
-  snprintf(lines[0], sizeof lines[0], "%s", base[0] != '\0' ? base : k->name);
-  snprintf(lines[1], sizeof lines[1], "%s %.2f MiB", k->codec, (double)k->bytes / 1048576);
+  snprintf(lines[0], heading_room, "%s", base[0] != '\0' ? base : k->name);
+  snprintf(lines[1], heading_room, "%s %.2f MiB", k->codec, (double)k->bytes / 1048576);
   lines[2][0] = '\0';
   if (difference)
-    snprintf(lines[1], sizeof lines[1], "difference x %g", (double)gain);
+    snprintf(lines[1], heading_room, "difference x %g", (double)gain);
   else if (k->result != NULL)
-    snprintf(lines[2], sizeof lines[2], "%.1f dB SSIM %.3f", k->result->psnr, k->result->ssim);
+    snprintf(lines[2], heading_room, "%.1f dB SSIM %.3f", k->result->psnr, k->result->ssim);
   else
-    snprintf(lines[2], sizeof lines[2], "reference");
-  for (int i = 0; i < 3; i++) {
-    if (most > 0 && most < (int)sizeof lines[i]) lines[i][most] = '\0';
-    font_draw(page, x, gap + i * (int64_t)s->line_height, s->label_scale, ink, lines[i]);
+    snprintf(lines[2], heading_room, "reference");
+}
+
+/* Draws a column's heading, with lines that are too long going on below; without a page it only counts them.
+ */
+static uint32_t draw_heading(const sheet *s, image *page, int column, float gain, uint32_t times) {
+  const int64_t x = s->label_width + (int64_t)column * (s->width * times + gap);
+  const size_t room = s->width * times / (FONT_WIDTH * s->label_scale);
+  heading lines;
+  uint32_t used = 0;
+  heading_of(s, column, gain, lines);
+  for (int i = 0; i < heading_lines; i++) {
+    char part[heading_room];
+    const char *rest = lines[i];
+    do {
+      const size_t length = font_break(rest, room);
+      snprintf(part, sizeof part, "%.*s", (int)length, rest);
+      if (page != NULL) font_draw(page, x, gap + used * (int64_t)s->line_height, s->label_scale, ink, part);
+      rest += length;
+      used++;
+    } while (*rest != '\0');
   }
+  return used;
+}
+
+static uint32_t header_height(const sheet *s, float gain, uint32_t times) {
+  uint32_t most = 0;
+  for (int column = 0; column < column_count(s); column++) {
+    const uint32_t used = draw_heading(s, NULL, column, gain, times);
+    if (used > most) most = used;
+  }
+  return most * s->line_height + gap;
 }
 
 static void draw_row_label(const sheet *s, image *page, int row, uint32_t times) {
@@ -194,22 +222,24 @@ static void draw_row_label(const sheet *s, image *page, int row, uint32_t times)
   font_draw(page, gap, y + 4 * s->line_height, s->label_scale, ink, text);
 }
 
-static int draw(const sheet *s, const char *path) {
+static int draw(sheet *s, const char *path) {
   const uint32_t times = s->width >= s->cell_side ? 1 : (s->cell_side + s->width / 2) / s->width;
   const int columns = column_count(s);
   const uint64_t width = s->label_width + (uint64_t)columns * (s->width * times + gap);
-  const uint64_t height =
-      s->header_height + (uint64_t)rows * (s->height * times + gap) + 2 * (views_shown - 1) * gap;
+  uint64_t height;
   image page = {0};
   float exposure, gain;
   int failed = find_exposure(s, &exposure);
   if (!failed) failed = find_gain(s, exposure, &gain);
-  if (!failed && (width > 65535 || height > 65535))
+  if (failed) return failed;
+  s->header_height = header_height(s, gain, times);
+  height = s->header_height + (uint64_t)rows * (s->height * times + gap) + 2 * (views_shown - 1) * gap;
+  if ((width > 65535 || height > 65535))
     failed = cli_fail(EXIT_LIMIT, "%s: the sheet would be larger than 65535 pixels", path);
   if (!failed) failed = image_create(&page, (uint32_t)width, (uint32_t)height);
   if (failed) return failed;
   image_fill(&page, paper);
-  for (int column = 0; column < columns; column++) draw_header(s, &page, column, gain, times);
+  for (int column = 0; column < columns; column++) (void)draw_heading(s, &page, column, gain, times);
   for (int row = 0; row < rows && !failed; row++) {
     draw_row_label(s, &page, row, times);
     for (int column = 0; column < columns && !failed; column++)

@@ -47,8 +47,11 @@ static void set_target(fitting *f, const btf_options *options) {
   const double psnr = f->host->option(options, "psnr"), rmse = f->host->option(options, "rmse");
   const double samples = (double)f->rows * (double)f->texels;
   if (rmse > 0.0) f->out.target = rmse * rmse * samples;
-  if (psnr > 0.0)
-    f->out.target = fmin(f->out.target, pow(f->statistics.peak, 2.0) * pow(10.0, -psnr / 10.0) * samples);
+  const double of_psnr = pow(f->statistics.peak, 2.0) * pow(10.0, -psnr / 10.0) * samples;
+  if (psnr > 0.0 && of_psnr < f->out.target) {
+    f->out.target = of_psnr;
+    f->out.target_psnr = psnr;
+  }
 }
 
 /* ---- factors ---- */

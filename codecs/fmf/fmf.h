@@ -182,6 +182,7 @@ typedef struct btfi_fmf_writing {
   uint32_t views, lights, channels, width, height;
   double loss;        /* relative growth of the error by packing */
   double target;      /* squared Frobenius error to reach with as few components as possible, or INFINITY */
+  double target_psnr; /* what it stands for; 0 = an rmse */
   btfi_fmf_head head; /* given: coding, storage, levels, flags, energy */
   /* Column k of a side at values[side] + k * length[side]; U orthonormal, V with its singular value. */
   btfi_fmf_factors factors;

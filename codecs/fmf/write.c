@@ -97,10 +97,8 @@ btf_status btfi_fmf_choose_components(btfi_fmf_writing *f) {
   f->head.squared_error = error;
   if (has_target(f) && error > f->target) {
     const double samples = (double)f->factors.length[FMF_SIDE_U] * (double)f->factors.length[FMF_SIDE_V];
-    f->host->log(
-        f->ctx, BTF_LOG_WARNING,
-        "fmf: %u components reach an rmse of %.6g; %.6g was asked for (more max_components, another storage)",
-        components, sqrt(error / samples), sqrt(f->target / samples));
+    btf_warn_missed(f->host, f->ctx, "fmf", components, "components", error, f->target, samples,
+                    f->target_psnr);
   }
   return BTF_OK;
 }

@@ -32,7 +32,8 @@ typedef struct fitting {
   btfi_lafortune_shared shared;
   uint32_t weights, threads;
   bool has_target;
-  double rmse, advise; /* to reach, if there is a target */
+  double rmse, psnr; /* to reach, if there is a target, and what it stands for; 0 = an rmse */
+  double advise;
   uint64_t scratch_bytes, visit_budget;
   unsigned char *scratch;
   /* Of the level at hand: */
@@ -76,7 +77,11 @@ static btf_status set_target(fitting *f, const btf_options *options) {
     f->done = READING_SHARE * (double)level_texels(f, 0);
     BTF_TRY(f->host->measure(f->ctx, f->ds, f->job->max_working_set, NULL, &statistics, f->job, 0.0,
                              f->done / f->all));
-    f->rmse = fmin(f->rmse, statistics.peak * pow(10.0, -psnr / 20.0));
+    const double error = statistics.peak * pow(10.0, -psnr / 20.0);
+    if (error < f->rmse) {
+      f->rmse = error;
+      f->psnr = psnr;
+    }
   }
   return BTF_OK;
 }
@@ -247,8 +252,8 @@ static btf_status fit_finest(fitting *f) {
     if (sqrt(f->head.squared_error / sample_count(f)) <= f->rmse) return BTF_OK;
   }
   if (f->has_target)
-    f->host->log(f->ctx, BTF_LOG_WARNING, "lafortune: %u lobes reach an rmse of %.6g; %.6g was asked for",
-                 f->head.lobes, sqrt(f->head.squared_error / sample_count(f)), f->rmse);
+    btf_warn_missed(f->host, f->ctx, "lafortune", f->head.lobes, "lobes", f->head.squared_error,
+                    f->rmse * f->rmse * sample_count(f), sample_count(f), f->psnr);
   return BTF_OK;
 }
 

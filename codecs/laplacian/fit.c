@@ -159,7 +159,10 @@ static btf_status learn(btfi_laplacian_fitting *f, const btf_dataset_desc *desc,
   if (psnr > 0.0) {
     f->peak = find_peak(f, r, samples);
     const double target = f->peak * f->peak * pow(10.0, -psnr / 10.0) * samples;
-    f->target = rmse > 0.0 ? fmin(f->target, target) : target;
+    if (!(rmse > 0.0) || target < f->target) {
+      f->target = target;
+      f->target_psnr = psnr;
+    }
   }
   return fit_means(f, desc, r->mean);
 }

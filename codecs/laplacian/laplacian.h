@@ -219,8 +219,9 @@ typedef struct btfi_laplacian_fitting {
   float mean_scale[3];     /* largest magnitude of a table's means */
   uint64_t least_for_band; /* 0, or what the decomposition needs that had too little memory */
   bool has_target, adaptive;
-  double target; /* squared RGB error, or 0 */
-  double peak;   /* 99.9th percentile of the samples, if a target needs it */
+  double target;      /* squared RGB error, or 0 */
+  double target_psnr; /* what it stands for; 0 = an rmse */
+  double peak;        /* 99.9th percentile of the samples, if a target needs it */
 } btfi_laplacian_fitting;
 
 /* Picks counts by greatest reduction of the error per byte until what is decoded meets the target. */

@@ -187,10 +187,11 @@ btf_status btfi_laplacian_meet_target(btfi_laplacian_fitting *f, double from, do
   f->head.squared_error = best_error;
   if (!met) {
     const double samples = 3.0 * (double)f->source.pairs * f->source.grid.width[0] * f->source.grid.height[0];
-    f->host->log(
-        f->ctx, BTF_LOG_WARNING,
-        "laplacian: the target is out of reach with max_components; the rmse is %.6g instead of %.6g",
-        sqrt(best_error / samples), sqrt(f->target / samples));
+    uint32_t most = 0;
+    for (uint32_t k = 0; k < f->head.levels; k++)
+      for (uint32_t c = 0; c < 3; c++) most = f->head.count[k][c] > most ? f->head.count[k][c] : most;
+    btf_warn_missed(f->host, f->ctx, "laplacian", most, "components of a channel and level", best_error,
+                    f->target, samples, f->target_psnr);
   }
   return BTF_OK;
 }

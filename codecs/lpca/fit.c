@@ -30,6 +30,7 @@ typedef struct fitting {
   uint64_t rows, texels;
   uint32_t clusters, components, iterations, restarts, subspace; /* components: the most, with a target */
   double target;                                                 /* squared error, or INFINITY */
+  double target_psnr;                                            /* what it stands for; 0 = an rmse */
   btf_svd_result svd;
   float *points, *vectors; /* of svd, or their stand-ins if the data are all 0 */
   float *zeros, *center;
@@ -131,7 +132,11 @@ static btf_status set_target(fitting *f, double to) {
   if (psnr > 0.0) {
     btf_statistics statistics = {.struct_size = sizeof statistics};
     BTF_TRY(host->measure(f->ctx, f->ds, f->job->max_working_set, NULL, &statistics, f->job, 0.0, to));
-    f->target = fmin(f->target, statistics.peak * statistics.peak * pow(10.0, -psnr / 10.0) * samples);
+    const double of_psnr = statistics.peak * statistics.peak * pow(10.0, -psnr / 10.0) * samples;
+    if (of_psnr < f->target) {
+      f->target = of_psnr;
+      f->target_psnr = psnr;
+    }
   }
   return BTF_OK;
 }
@@ -300,9 +305,8 @@ static btf_status search_components(fitting *f, double from, double to) {
     BTF_TRY(btfi_lpca_iterate(m, f->iterations, LEAST_GAIN, NULL, NULL, here, here));
   }
   if (enough > most)
-    f->host->log(f->ctx, BTF_LOG_WARNING, "lpca: %u components reach an rmse of %.6g instead of %.6g", most,
-                 sqrt(error / ((double)f->rows * (double)f->texels)),
-                 sqrt(f->target / ((double)f->rows * (double)f->texels)));
+    btf_warn_missed(f->host, f->ctx, "lpca", most, "components", error, f->target,
+                    (double)f->rows * (double)f->texels, f->target_psnr);
   if (enough > most || m->components == enough) return BTF_OK;
   m->components = enough;
   memcpy(m->label, f->best_label, f->texels * sizeof *m->label);

@@ -97,9 +97,8 @@ btf_status btfi_pvpca_choose(btfi_pvpca_fit_job *f) {
   if (f->layout.has_mean == 0 && f->view[0].terms == 0) f->view[0].terms = 1;
   if (f->has_target && error > f->target) {
     const double samples = (double)f->layout.views * (double)f->rows * (double)f->columns;
-    f->host->log(f->ctx, BTF_LOG_WARNING,
-                 "pvpca: rmse %.6g is out of reach with %u components of a view; the best is %.6g",
-                 sqrt(f->target / samples), f->keep, sqrt(error / samples));
+    btf_warn_missed(f->host, f->ctx, "pvpca", f->keep, "components of a view", error, f->target, samples,
+                    f->target_psnr);
   }
   return BTF_OK;
 }

@@ -174,8 +174,12 @@ static btf_status fit_in_two_passes(btfi_pvpca_fit_job *f, const btf_options *op
   if (f->has_target) {
     const double psnr = f->host->option(options, "psnr"), rmse = f->host->option(options, "rmse");
     f->target = rmse > 0.0 ? rmse * rmse * samples : INFINITY;
-    if (psnr > 0.0)
-      f->target = fmin(f->target, pow(btfi_pvpca_peak(f), 2.0) * pow(10.0, -psnr / 10.0) * samples);
+    const double of_psnr =
+        psnr > 0.0 ? pow(btfi_pvpca_peak(f), 2.0) * pow(10.0, -psnr / 10.0) * samples : INFINITY;
+    if (of_psnr < f->target) {
+      f->target = of_psnr;
+      f->target_psnr = psnr;
+    }
   }
   BTF_TRY(btfi_pvpca_choose(f));
   BTF_TRY(btfi_pvpca_reserve(f));

@@ -156,6 +156,7 @@ typedef struct btfi_pvpca_fit_job {
   double *mean_error;                 /* for each view, what storing its mean adds */
   btfi_pvpca_candidate *candidates;   /* keep for each view */
   double target;                      /* squared error, or INFINITY */
+  double target_psnr;                 /* what it stands for; 0 = an rmse */
   float largest[PVPCA_MAX_TERMS + 1]; /* magnitudes in the columns of `textures` */
   /* what is written */
   btfi_pvpca_layout layout; /* its sizes are of the data from the start */

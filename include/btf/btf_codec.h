@@ -7,6 +7,7 @@
 #ifndef LIBBTF_BTF_CODEC_H
 #define LIBBTF_BTF_CODEC_H
 
+#include <math.h>
 #include <string.h>
 
 #include "btf_plugin.h"
@@ -72,6 +73,22 @@ static inline btf_status btf_get_chunk(const btf_host *host, btf_context *ctx, b
                         (int)(tag & 0x7f), (int)(tag >> 8 & 0x7f), (int)(tag >> 16 & 0x7f),
                         (int)(tag >> 24 & 0x7f), index, (unsigned long long)found, (unsigned long long)size);
   return BTF_OK;
+}
+
+/* ---- targets ---- */
+
+/** Warns that a fit misses the error it was asked for, in the words it was asked in: `psnr` is what the
+ * target stands for, 0 if it is an rmse. `error` and `target` are sums of squares over `samples` samples. The
+ * line begins with the codec, a count and what is counted: "fmf: 2 components reach ...". */
+static inline void btf_warn_missed(const btf_host *host, btf_context *ctx, const char *codec, uint32_t count,
+                                   const char *counted, double error, double target, double samples,
+                                   double psnr) {
+  if (psnr > 0.0)
+    host->log(ctx, BTF_LOG_WARNING, "%s: %u %s reach a psnr of %.2f dB; %.6g dB was asked for", codec, count,
+              counted, psnr + 10.0 * log10(target / error), psnr);
+  else
+    host->log(ctx, BTF_LOG_WARNING, "%s: %u %s reach an rmse of %.6g; %.6g was asked for", codec, count,
+              counted, sqrt(error / samples), sqrt(target / samples));
 }
 
 /* ---- random numbers (splitmix64): the same seed gives the same choices everywhere ---- */

@@ -117,7 +117,8 @@ typedef struct btf_host {
   btf_status (*dataset_describe)(const btf_dataset *ds, btf_dataset_desc *io);
   btf_status (*dataset_read)(const btf_dataset *ds, const btf_block *block, float *dst, const btf_strides *strides);
 
-  /* Options by parameter name: number, bool or index of the choice; or text. The name must be one of the codec's. */
+  /* Options by parameter name: number, bool or index of the choice; or text. The name must be one of the codec's: any
+   * other gives 0 or NULL, and the fit ends with BTF_E_INVALID_ARG, naming codec and option. */
   double (*option)(const btf_options *options, const char *name);
   const char *(*option_text)(const btf_options *options, const char *name);
   /* 1 if the caller set the option, 0 if it has its default. */

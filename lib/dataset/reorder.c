@@ -14,6 +14,7 @@ enum {
   slab_floats = 98304, /* what half of a second-level cache holds */
   slab_run = 512,
   longest_fetched = 2048, /* bytes; the processor foresees longer rows by itself */
+  lines_ahead = 32,       /* as many as a core waits for at once */
   parallel_from = 1 << 18
 };
 
@@ -179,10 +180,19 @@ typedef struct tile_view {
   size_t extent[btfi_axes_most], slab[btfi_axes_most]; /* of this tile and this slab */
   size_t run;                                          /* neighbouring samples converted at once */
   uint32_t run_axes;                                   /* axes they take up */
+  size_t ahead;                                        /* runs whose lines are asked for before their turn */
 } tile_view;
 
 static bool convert_run(const reorder_plan *p, char *samples, float *buffer, size_t run) {
   return p->packing ? p->kernels->pack(buffer, samples, run) : p->kernels->unpack(samples, buffer, run);
+}
+
+/* Rows lie pages apart, where the processor foresees nothing, and a wait for each line is what a block of
+ * texels of an image-major file would cost. */
+static void fetch_run(const tile_view *t, const char *samples) {
+  const size_t bytes = t->run * t->plan->kernels->sample_size;
+  for (size_t at = 0; at < bytes; at += 64) __builtin_prefetch(samples + at, 0);
+  __builtin_prefetch(samples + bytes - 1, 0);
 }
 
 /* Converts between the samples and the buffer, which is dense in the samples' order. */
@@ -193,8 +203,13 @@ static bool convert_rows(const tile_view *t, uint32_t level, char *samples, floa
     return fine;
   }
   bool fine = true;
-  for (size_t i = 0; i < t->extent[level - 1]; ++i)
-    fine &= convert_rows(t, level - 1, samples + (ptrdiff_t)i * t->plan->axis[level - 1].sample, buffer);
+  const ptrdiff_t stride = t->plan->axis[level - 1].sample;
+  const size_t rows = t->extent[level - 1], ahead = level == t->run_axes + 1 ? t->ahead : 0;
+  for (size_t i = 0; i < BTFI_MIN(ahead, rows); ++i) fetch_run(t, samples + (ptrdiff_t)i * stride);
+  for (size_t i = 0; i < rows; ++i) {
+    if (i + ahead < rows && ahead > 0) fetch_run(t, samples + (ptrdiff_t)(i + ahead) * stride);
+    fine &= convert_rows(t, level - 1, samples + (ptrdiff_t)i * stride, buffer);
+  }
   return fine;
 }
 
@@ -303,6 +318,8 @@ static bool convert_tile(tile_view *t, char *samples, char *floats) {
     if (p->axis[t->run_axes].sample != (ptrdiff_t)(t->run * p->kernels->sample_size)) break;
     t->run *= t->extent[t->run_axes];
   }
+  const size_t run_bytes = t->run * p->kernels->sample_size;
+  t->ahead = p->packing || run_bytes > longest_fetched ? 0 : (lines_ahead * 64 + run_bytes - 1) / run_bytes;
   const size_t count = (size_t)dense / sizeof(float);
   if (p->packing) {
     move_floats(p->kernels, floats, (char *)buffer, axis, p->count);

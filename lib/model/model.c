@@ -94,18 +94,15 @@ static btf_status check_fit(const btf_dataset *ds, const btf_codec *codec, const
 
 static btf_status fit_payload(const btf_dataset *ds, const btf_codec *codec, const btf_options *options,
                               const btf_job *job, btfi_payload *payload) {
-  const btf_codec_vtbl *v = btfi_codec_vtbl(codec);
-  btf_context *ctx = btfi_codec_context(codec);
   btf_options *defaults = NULL;
   btfi_job running;
   btf_status status;
-  BTFI_TRY(btfi_job_begin(ctx, job, &running));
+  BTFI_TRY(btfi_job_begin(btfi_codec_context(codec), job, &running));
   if (options == NULL) {
     BTFI_TRY(btf_options_create(codec, &defaults));
     options = defaults;
   }
-  status =
-      allocation_status(v->fit(btfi_host(), ctx, ds, options, &running.desc, btfi_payload_writer(payload)));
+  status = allocation_status(btfi_codec_fit(codec, ds, options, &running.desc, btfi_payload_writer(payload)));
   btf_options_release(defaults);
   btfi_payload_seal(payload);
   return status;

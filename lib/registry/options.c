@@ -4,13 +4,21 @@
 
 #include <locale.h>
 #include <math.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+/* A name that a fit asked for although its codec has no such parameter. Asked from any thread of the fit. */
+typedef struct wrong_name {
+  atomic_flag taken; /* by the first */
+  char text[64];
+} wrong_name;
+
 struct btf_options {
   const btf_codec *codec;
   btfi_value *values; /* one for each parameter */
+  wrong_name *wrong;  /* during a fit */
 };
 
 /* ---- reading one value ---- */
@@ -217,19 +225,40 @@ const btf_codec *btfi_options_codec(const btf_options *options) {
   return options->codec;
 }
 
+/* The same for a codec that fits: a wrong name is its mistake and ends the fit. */
+static const btf_param_desc *find_asked(const btf_options *options, const char *name, uint32_t *i) {
+  const btf_param_desc *p = find(options, name, i);
+  if (p == NULL && options->wrong != NULL && !atomic_flag_test_and_set(&options->wrong->taken))
+    snprintf(options->wrong->text, sizeof options->wrong->text, "%s", name != NULL ? name : "");
+  return p;
+}
+
+btf_status btfi_codec_fit(const btf_codec *codec, const btf_dataset *ds, const btf_options *options,
+                          const btf_job *job, btf_chunk_writer *payload) {
+  btf_options asked = *options;
+  wrong_name wrong = {.taken = ATOMIC_FLAG_INIT};
+  btf_status status;
+  asked.wrong = &wrong;
+  status = codec->vtbl.fit(btfi_host(), codec->ctx, ds, &asked, job, payload);
+  if (!atomic_flag_test_and_set(&wrong.taken)) return status;
+  return btfi_fail(codec->ctx, BTF_E_INVALID_ARG,
+                   "%s: the codec asks for an option \"%s\", which is none of its parameters", codec->vtbl.id,
+                   wrong.text);
+}
+
 double btfi_option(const btf_options *options, const char *name) {
   uint32_t i;
-  return find(options, name, &i) != NULL ? options->values[i].number : 0.0;
+  return find_asked(options, name, &i) != NULL ? options->values[i].number : 0.0;
 }
 
 const char *btfi_option_text(const btf_options *options, const char *name) {
   uint32_t i;
-  const btf_param_desc *p = find(options, name, &i);
+  const btf_param_desc *p = find_asked(options, name, &i);
   if (p == NULL) return NULL;
   return options->values[i].text != NULL ? options->values[i].text : p->default_text;
 }
 
 int32_t btfi_option_is_set(const btf_options *options, const char *name) {
   uint32_t i;
-  return find(options, name, &i) != NULL && options->values[i].text != NULL ? 1 : 0;
+  return find_asked(options, name, &i) != NULL && options->values[i].text != NULL ? 1 : 0;
 }

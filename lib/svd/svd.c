@@ -14,10 +14,13 @@ static const double smallest_difference = 5e-6;
 /* Float panels give a singular value to about this part of the largest: smaller changes mean nothing. */
 static const double noise = 2e-7;
 static const double float_rounding = 6e-8;
+/* What is still to come is at least taken to fall by this factor from one half step to the next. */
+static const double slowest_rate = 0.98;
+/* A singular value below this part of the largest is not told from rounding. */
+static const double float_resolution = 3e-7;
 
 enum {
-  BLOCK_BYTES =
-      10 << 20, /* met twice, so it should still be in L3 the second time; wider ones read longer runs */
+  BLOCK_BYTES = 20 << 20, /* met twice, so much of it should be in L3 still; wider ones read longer runs */
   SMALLEST_BLOCK = 64,
   LARGEST_BLOCK = 8192,
   RUN = 32,
@@ -201,7 +204,7 @@ static double remaining_gain(const svd_state *s, bool sampled, double rest, doub
   const double slowest = sampled ? 0 : *gained > 0 ? fmax(0.5, sqrt(all / *gained)) : 0.5;
   for (uint32_t i = 0; i < rank; i++) {
     const double rate = fmax(slowest, s->ritz[BTFI_MAX(rank, regular) - 1] / s->ritz[i]);
-    sum += fmax(0, s->ritz[i] - s->ritz_before[i]) / (1 / fmin(rate, 0.98) - 1);
+    sum += fmax(0, s->ritz[i] - s->ritz_before[i]) / (1 / fmin(rate, slowest_rate) - 1);
   }
   *gained = all;
   if (!sampled) return 1.25 * sum;
@@ -263,7 +266,11 @@ static btf_status converge(svd_state *s) {
       estimate = 2 * estimate + missed;
       gained = 0;
     } else {
-      estimate = remaining_gain(s, sampled, rest, &gained) + missed;
+      estimate = remaining_gain(s, sampled, rest, &gained);
+      /* Sums of many equal values err one way, and what a half step seems to gain may be that: it then comes
+       * again in each pass, but from pass to pass nothing grows. */
+      if (pass > 0) estimate = fmin(estimate, fmax(0, captured - after) * slowest_rate / (1 - slowest_rate));
+      estimate += missed;
       before = captured_before;
       sampled = false;
     }
@@ -278,8 +285,12 @@ static btf_status converge(svd_state *s) {
      * magnified in what they are separated into. */
     const double blur =
         s->found > 0 ? s->plan.width * float_rounding * float_rounding * s->spread * s->ritz[0] : 0;
-    const bool clear = (s->plan.sample_blocks > 0 || pass > 1) && blur <= 0.25 * allowed * rest;
-    if ((pass > 0 || clear) && (estimate <= 0.9 * allowed * rest || !grows) && (clear || !grows))
+    /* What float panels hold of a direction that is none: no gain below it means anything. */
+    const double rounding = s->found > 0 ? float_resolution * float_resolution * s->ritz[0] : 0;
+    const bool clear = (s->plan.sample_blocks > 0 || pass > 1) &&
+                       blur <= fmax(0.25 * allowed * rest, s->plan.width * rounding);
+    if ((pass > 0 || clear) && (estimate <= fmax(0.9 * allowed * rest, rounding) || !grows) &&
+        (clear || !grows))
       return BTF_OK;
   }
   btfi_log(s->ctx, BTF_LOG_WARNING, "svd: %d readings did not reach the tolerance %g", SVD_MAX_PASSES,

@@ -9,6 +9,8 @@
 enum { SAMPLE_ROUNDS = 8, COARSE = 4 };
 /* Of the Gram matrix of C with columns of one length: beyond it, float's rounding is magnified too much. */
 static const double raw_spread = 1e4;
+/* The least part of a round's gain that the next one is taken to bring. */
+static const double slowest_fall = 0.1;
 
 static uint64_t sample_block(const svd_state *s, uint64_t b) {
   return s->plan.held ? b * s->plan.block_count / s->plan.sample_blocks : b;
@@ -78,6 +80,25 @@ static btf_status sample_round(svd_state *s, uint64_t step, bool raw, double *en
   return btfi_svd_next_basis(s);
 }
 
+/* Orthonormal columns from `first` on, of random directions outside those before. */
+static btf_status fill_at_random(svd_state *s, uint32_t first, uint32_t end) {
+  const size_t width = s->plan.width, length = (size_t)s->desc->length;
+  if (first >= end) return BTF_OK;
+  /* That many elements make random columns nearly orthogonal, and all can be straightened at once. */
+  if (length >= 8 * (size_t)end) {
+    const float scale = (float)(1 / sqrt((double)length));
+    for (size_t j = 0; j < length; j++)
+      for (uint32_t c = first; c < end; c++) s->basis[j * width + c] = scale * btfi_random_normal(&s->random);
+    return btfi_svd_straighten(s, s->basis, s->plan.length_padded, end);
+  }
+  for (uint32_t c = first; c < end; c++) {
+    for (size_t j = 0; j < s->plan.length_padded; j++)
+      s->direction[j] = j < length ? btfi_random_normal(&s->random) : 0;
+    btfi_svd_set_direction(s, s->direction, c);
+  }
+  return BTF_OK;
+}
+
 btf_status btfi_svd_start(svd_state *s) {
   const svd_plan *plan = &s->plan;
   const uint64_t smaller = BTFI_MIN(s->desc->items, s->desc->length);
@@ -95,6 +116,7 @@ btf_status btfi_svd_start(svd_state *s) {
   bool raw = true;
   for (;;) {
     const double items_used = (double)items / (double)step;
+    double gain_before = 0;
     for (int round = 0; round < SAMPLE_ROUNDS; round++) {
       BTFI_TRY(sample_round(s, step, raw, &energy));
       captured = 0;
@@ -105,10 +127,13 @@ btf_status btfi_svd_start(svd_state *s) {
       }
       BTFI_TRY(btfi_svd_report(s, 0.1 + 0.05 * (round + 1) / SAMPLE_ROUNDS + (step > 1 ? 0 : 0.05)));
       /* The sample differs from the matrix by about rank / items of the rest or more: no use in being much
-       * more exact in it, and rounds to come gain far less than this one. */
+       * more exact in it. Gains fall from round to round, if not as fast for ever as from the first to the
+       * second. */
       const double noise = fmax(0, energy - captured) * plan->rank / items_used;
-      if (!raw && gain <= fmax(noise, 1e-7 * energy)) break;
+      const double next = gain * fmax(slowest_fall, gain_before > 0 ? gain / gain_before : 1);
+      if (!raw && next <= fmax(noise, 1e-7 * energy)) break;
       raw = s->spread > raw_spread;
+      gain_before = gain;
     }
     if (step == 1) break;
     step = 1;
@@ -121,10 +146,5 @@ btf_status btfi_svd_start(svd_state *s) {
   s->mean_rest = fmax(0, energy - within) / (double)items;
 
   /* A sample poorer than the matrix may be leaves columns free: they take random directions. */
-  for (uint32_t c = s->found; c < BTFI_MIN(plan->width, smaller); c++) {
-    for (size_t j = 0; j < plan->length_padded; j++)
-      s->direction[j] = j < s->desc->length ? btfi_random_normal(&s->random) : 0;
-    btfi_svd_set_direction(s, s->direction, c);
-  }
-  return BTF_OK;
+  return fill_at_random(s, s->found, (uint32_t)BTFI_MIN(plan->width, smaller));
 }

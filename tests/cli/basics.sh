@@ -80,7 +80,11 @@ expect "-- ends options" 2 "--json: could not be opened"
 run codecs --plugin relative.so
 expect "plug-in by relative path" 1 "absolute path"
 run codecs --plugin "$work/none.so"
-[ "$status" != 0 ] && [[ $err == "btf: "* ]] && pass || fail "missing plug-in" "$status $err"
+expect "missing plug-in" 2 "none.so: could not be opened"
+printf 'not a module' >text.so
+run codecs --plugin "$work/text.so"
+expect "a plug-in that is no module" 4 "text.so"
+rm text.so
 run codecs nosuchcodec
 expect "unknown codec" 1 "nosuchcodec"
 run import x -o y

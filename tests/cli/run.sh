@@ -94,7 +94,7 @@ leftovers() {
   ls -A "$folder" | grep -vxF -e "${1:-//}" -e "${2:-//}" || true
 }
 
-for part in basics values encode plugins robust; do
+for part in basics values encode plugins pictures robust; do
   # shellcheck source=/dev/null
   . "$here/$part.sh"
 done

@@ -423,6 +423,16 @@ static void near_misses_are_likely_ones(void **state) {
   assert_null(cli_near_miss("x", words));
 }
 
+static void headings_break_after_words(void **state) {
+  (void)state;
+  assert_int_equal(font_break("whole", 5), 5);
+  assert_int_equal(font_break("", 5), 0);
+  assert_int_equal(font_break("fmf-comp-onents", 12), 9);    /* the last that fits */
+  assert_int_equal(font_break("fmf-components-16", 15), 15); /* right at the end */
+  assert_int_equal(font_break("a-componentsofall", 12), 12); /* none in the latter half */
+  assert_int_equal(font_break("long", 0), 1);                /* always goes on */
+}
+
 typedef struct visits {
   uint32_t threads;
   uint8_t seen[1000];
@@ -468,6 +478,7 @@ int main(void) {
       cmocka_unit_test(percentiles_are_ranks),
       cmocka_unit_test(ssim_is_what_its_definition_says),
       cmocka_unit_test(near_misses_are_likely_ones),
+      cmocka_unit_test(headings_break_after_words),
       cmocka_unit_test(every_task_runs_once_on_its_thread),
   };
   return btf_run("tool parts", tests);

@@ -27,8 +27,22 @@ mv "$work/first" "$work/prefix" # the installed tree must be relocatable
 libdir=$(dirname "$(find "$work/prefix" -name 'libbtf.pc')")/..
 export PKG_CONFIG_PATH="$libdir/pkgconfig" LD_LIBRARY_PATH="$libdir"
 
-(cd "$work/prefix" && find . -type f -o -type l | sed 's|^\./||; s|lib/[a-z0-9_]*-linux-gnu[a-z0-9]*/|lib/|; s|targets-[a-z]*\.cmake|targets-CONFIG.cmake|' | LC_ALL=C sort) >"$work/installed"
+(cd "$work/prefix" && find . -type f -o -type l | grep -v '^\./share/doc/libbtf/\(docs\|examples\)/' | sed 's|^\./||; s|lib/[a-z0-9_]*-linux-gnu[a-z0-9]*/|lib/|; s|targets-[a-z]*\.cmake|targets-CONFIG.cmake|' | LC_ALL=C sort) >"$work/installed"
 check "installed files equal the manifest" diff -u "$source/tests/consumer/installed.txt" "$work/installed"
+
+# Every link from one installed page to another leads somewhere, and so do those in the source tree.
+check_links() {
+  local page target broken=0
+  while read -r page; do
+    while read -r target; do
+      [ -e "$(dirname "$page")/$target" ] || { echo "$page: $target is not there"; broken=1; }
+    done < <(grep -o '](\([^)#]*\)' "$page" | sed 's/^](//' | grep -v -e '^[a-z]*:' -e '^$')
+  done < <(find "$1" -path "$1/build" -prune -o -name '*.md' -print)
+  return $broken
+}
+check "links of the installed documentation" check_links "$work/prefix/share/doc/libbtf"
+check "links of the source tree" check_links "$source"
+check "the installed documentation is whole" diff -r -x man "$source/docs" "$work/prefix/share/doc/libbtf/docs"
 
 build_package() {
   cmake -S "$source/tests/consumer" -B "$work/package" -DCMAKE_PREFIX_PATH="$work/prefix" &&

@@ -65,6 +65,15 @@ static void draw_square(image *picture, int64_t x, int64_t y, uint32_t side, con
         memcpy(image_pixel(picture, (uint32_t)px, (uint32_t)py), rgb, 3 * sizeof *rgb);
 }
 
+size_t font_break(const char *text, size_t room) {
+  const size_t length = strlen(text);
+  if (room == 0) room = 1;
+  if (length <= room) return length;
+  for (size_t i = room; i > room / 2; i--)
+    if (strchr(" -_.,=+", text[i - 1]) != NULL) return i;
+  return room;
+}
+
 void font_draw(image *picture, int64_t x, int64_t y, uint32_t scale, const float rgb[3], const char *text) {
   for (const unsigned char *p = (const unsigned char *)text; *p != '\0';
        p++, x += (int64_t)FONT_WIDTH * scale) {

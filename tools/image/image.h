@@ -9,6 +9,7 @@
 #define BTF_TOOLS_IMAGE_H
 
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 typedef struct image {
@@ -55,6 +56,9 @@ float tone_percentile(const image *picture, double fraction);
 /* ---- labels (font.c) ---- */
 
 enum { FONT_WIDTH = 6, FONT_HEIGHT = 8 }; /* of one character with its gap, at scale 1 */
+/* How many characters of a text to draw in a row with room for `room` (at least 1), so that it breaks after a
+ * word or sign if it can. */
+size_t font_break(const char *text, size_t room);
 /* Writes text with its top left corner at (x, y). Characters beyond ASCII show as '?'. */
 void font_draw(image *picture, int64_t x, int64_t y, uint32_t scale, const float rgb[3], const char *text);
 

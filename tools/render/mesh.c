@@ -36,6 +36,11 @@ void mesh_smooth_normals(mesh *m) {
     m->vertices[i].normal = vec3_normalize(m->vertices[i].normal);
 }
 
+void mesh_scale_v(mesh *m, float factor) {
+  for (uint32_t i = 0; i < m->vertex_count; i++) m->vertices[i].v *= factor;
+  m->sphere_repeat_v *= factor;
+}
+
 int mesh_plane(float repeat, mesh *out) {
   static const float corners[4][2] = {{0, 0}, {1, 0}, {1, 1}, {0, 1}};
   static const uint32_t triangles[6] = {0, 1, 2, 0, 2, 3};
@@ -57,7 +62,7 @@ int mesh_sphere(float repeat, mesh *out) {
   *out = (mesh){0};
   if (!mesh_reserve(out, (ROWS + 1) * (COLUMNS + 1), 2 * ROWS * COLUMNS)) return cli_out_of_memory();
   out->sphere_radius = 1.0f;
-  out->sphere_repeat = repeat;
+  out->sphere_repeat_u = out->sphere_repeat_v = repeat;
   for (uint32_t row = 0; row <= ROWS; row++)
     for (uint32_t column = 0; column <= COLUMNS; column++) {
       const double latitude = 3.14159265358979 * ((double)row / ROWS - 0.5);

@@ -23,11 +23,12 @@ typedef struct mesh {
   uint32_t vertex_count, triangle_count;
   /* A sphere around the origin whose hits are moved onto the true surface; 0 = none. */
   float sphere_radius;
-  float sphere_repeat;
+  float sphere_repeat_u, sphere_repeat_v; /* tiles along half the equator, and from pole to pole */
 } mesh;
 
 /* All return an exit status of cli.h, and have printed their line when it is not EXIT_DONE. `repeat` is the
- * number of tiles across the plane, around half the sphere's equator, and across the cloth. */
+ * number of tiles across the plane, around half the sphere's equator, and across the cloth; as many go up as
+ * across. */
 int mesh_plane(float repeat, mesh *out);
 int mesh_sphere(float repeat, mesh *out);
 int mesh_cloth(float repeat, mesh *out);
@@ -35,6 +36,9 @@ int mesh_cloth(float repeat, mesh *out);
  * The mesh is moved and scaled into the unit sphere. `repeat` multiplies the texture coordinates. */
 int mesh_obj(const char *path, float repeat, mesh *out);
 void mesh_free(mesh *m);
+
+/* Multiplies all v: with width / height of a material its texels are as high as wide. */
+void mesh_scale_v(mesh *m, float factor);
 
 /* Room for vertices and triangles; false when out of memory. */
 bool mesh_reserve(mesh *m, uint32_t vertices, uint32_t triangles);

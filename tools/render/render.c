@@ -91,8 +91,8 @@ static void flush(const picture *p, gathering *g) {
 static void gather(const picture *p, gathering *g, uint32_t pixel, const scene_point *point, vec3 view,
                    float lod, vec3 direction, vec3 irradiance) {
   const vec3 light = to_local(point, direction);
-  if (light.z <= 0.0f || vec3_dot(direction, point->facet_normal) <= 0.0f) return;
-  if (scene_blocked(p->desc->surface, point, direction)) return;
+  /* The horizon is that of the smooth surface: facets stand for it only. */
+  if (light.z <= 0.0f || scene_blocked(p->desc->surface, point, direction)) return;
   if (g->count == CAPACITY) flush(p, g);
   const uint32_t i = g->count++;
   const float light_axes[3] = {light.x, light.y, light.z}, view_axes[3] = {view.x, view.y, view.z};

@@ -5,9 +5,9 @@
 
 #include "cli.h"
 
-/* Rays start this far from the surface: more than the gap between facets and the smooth surface they stand
- * for, less than any fold. */
-static const float ray_offset = 2e-3f;
+/* Shadow rays start this far above: more than floats lose on the way from the camera, far less than any
+ * fold. */
+static const float ray_offset = 1e-4f;
 
 int scene_create(const mesh *surface, scene *out) {
   *out = (scene){NULL, NULL, surface};
@@ -62,16 +62,32 @@ static void triangle_derivatives(const mesh_vertex *const corner[3], scene_point
 static void refine_sphere(const mesh *m, scene_point *p) {
   const float pi = 3.14159265f;
   p->normal = p->facet_normal = vec3_normalize(p->position);
-  p->position = vec3_scale(p->normal, m->sphere_radius);
+  p->position = p->lifted = vec3_scale(p->normal, m->sphere_radius);
   const float longitude = atan2f(p->normal.y, p->normal.x), radius = hypotf(p->normal.x, p->normal.y);
   const float latitude = atan2f(p->normal.z, radius);
-  p->u = 2.0f * m->sphere_repeat * (longitude / (2.0f * pi) + (longitude < 0.0f ? 1.0f : 0.0f));
-  p->v = m->sphere_repeat * (latitude / pi + 0.5f);
+  p->u = 2.0f * m->sphere_repeat_u * (longitude / (2.0f * pi) + (longitude < 0.0f ? 1.0f : 0.0f));
+  p->v = m->sphere_repeat_v * (latitude / pi + 0.5f);
   const float cosine = cosf(longitude), sine = sinf(longitude);
-  const float du =
-      m->sphere_radius * pi / m->sphere_repeat; /* length of one tile along the equator, and of one up */
+  /* length of one tile along the equator, and of one up */
+  const float du = m->sphere_radius * pi / m->sphere_repeat_u,
+              dv = m->sphere_radius * pi / m->sphere_repeat_v;
   p->dpdu = vec3_make(-sine * fmaxf(radius, 1e-4f) * du, cosine * fmaxf(radius, 1e-4f) * du, 0.0f);
-  p->dpdv = vec3_make(-p->normal.z * cosine * du, -p->normal.z * sine * du, radius * du);
+  p->dpdv = vec3_make(-p->normal.z * cosine * dv, -p->normal.z * sine * dv, radius * dv);
+}
+
+/* A point above the facets, close to the smooth surface that they stand for. Where that is convex, facets lie
+ * below it, and a ray from a facet toward a low light meets the facets around it although the light is above
+ * the smooth horizon: shadows with teeth. The mean of the point's projections onto the tangent planes of the
+ * corners it lies below clears them (Hanika 2021, "Hacking the Shadow Terminator"). `side` is -1 if the
+ * normals of the corners point away from the viewer. */
+static vec3 lift(const mesh_vertex *const corner[3], const float weight[3], float side, vec3 position) {
+  vec3 lifted = position;
+  for (int k = 0; k < 3; k++) {
+    const vec3 normal = vec3_scale(corner[k]->normal, side);
+    const float below = -vec3_dot(vec3_sub(position, corner[k]->position), normal);
+    if (below > 0.0f) lifted = vec3_along(lifted, weight[k] * below, normal);
+  }
+  return lifted;
 }
 
 bool scene_hit(const scene *s, vec3 origin, vec3 direction, scene_point *out) {
@@ -80,20 +96,22 @@ bool scene_hit(const scene *s, vec3 origin, vec3 direction, scene_point *out) {
   const mesh *m = s->surface;
   const mesh_vertex *corner[3];
   for (int k = 0; k < 3; k++) corner[k] = &m->vertices[m->triangles[3 * (size_t)hit.hit.primID + (size_t)k]];
-  const float b1 = hit.hit.u, b2 = hit.hit.v, b0 = 1.0f - b1 - b2;
+  const float b1 = hit.hit.u, b2 = hit.hit.v, b0 = 1.0f - b1 - b2, weight[3] = {b0, b1, b2};
   out->position = vec3_along(origin, hit.ray.tfar, direction);
   out->facet_normal = vec3_normalize(vec3_make(hit.hit.Ng_x, hit.hit.Ng_y, hit.hit.Ng_z));
   out->normal = vec3_normalize(vec3_along(
       vec3_along(vec3_scale(corner[0]->normal, b0), b1, corner[1]->normal), b2, corner[2]->normal));
   out->u = b0 * corner[0]->u + b1 * corner[1]->u + b2 * corner[2]->u;
   out->v = b0 * corner[0]->v + b1 * corner[1]->v + b2 * corner[2]->v;
-  if (m->sphere_radius > 0.0f)
-    refine_sphere(m, out);
-  else
-    triangle_derivatives(corner, out);
-
   if (vec3_dot(out->facet_normal, direction) > 0.0f) out->facet_normal = vec3_scale(out->facet_normal, -1.0f);
-  if (vec3_dot(out->normal, out->facet_normal) < 0.0f) out->normal = vec3_scale(out->normal, -1.0f);
+  const float side = vec3_dot(out->normal, out->facet_normal) < 0.0f ? -1.0f : 1.0f;
+  out->normal = vec3_scale(out->normal, side);
+  if (m->sphere_radius > 0.0f) {
+    refine_sphere(m, out); /* seen from outside */
+  } else {
+    out->lifted = lift(corner, weight, side, out->position);
+    triangle_derivatives(corner, out);
+  }
   out->tangent = vec3_along(out->dpdu, -vec3_dot(out->dpdu, out->normal), out->normal);
   if (vec3_length(out->tangent) <= 1e-12f * vec3_length(out->dpdu)) {
     vec3 unused;
@@ -107,6 +125,6 @@ bool scene_hit(const scene *s, vec3 origin, vec3 direction, scene_point *out) {
 }
 
 bool scene_blocked(const scene *s, const scene_point *from, vec3 direction) {
-  return trace_is_occluded(s->rays, vec3_along(from->position, ray_offset, from->facet_normal), direction,
-                           0.0f, 1e30f);
+  return trace_is_occluded(s->rays, vec3_along(from->lifted, ray_offset, from->normal), direction, 0.0f,
+                           1e30f);
 }

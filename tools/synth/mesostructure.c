@@ -69,7 +69,7 @@ static void copy_triangles(const mesostructure *m, const meso_part *part, copies
     last[a] = (int)floorf(1.0f + m->margin - lo[a]);
   }
   for (int ty = first[1]; ty <= last[1]; ++ty)
-    for (int tx = first[0]; tx <= last[0]; ++tx) {
+    for (int tx = first[0]; tx <= last[0] && !synth_watch_stops(m->watch); ++tx) {
       memset(out->renamed, 0xff, part->vertex_count * sizeof *out->renamed);
       for (uint32_t i = 0; i < part->triangle_count; ++i) {
         const uint32_t *corner = part->triangles + 3 * i;
@@ -135,6 +135,11 @@ static void repeat_spheres(mesostructure *m, meso_part *part) {
       }
 }
 
+static bool embree_goes_on(void *watch, double done) {
+  (void)done;
+  return !synth_watch_stops(watch);
+}
+
 static btf_status hand_to_embree(mesostructure *m) {
   /* One thread: the tree, and with it the winner between triangles that share an edge, is the same in every
    * run. */
@@ -165,32 +170,42 @@ static btf_status hand_to_embree(mesostructure *m) {
       rtcReleaseGeometry(spheres);
     }
   }
+  if (m->watch != NULL) rtcSetSceneProgressMonitorFunction(m->scene, embree_goes_on, m->watch);
   rtcCommitScene(m->scene);
+  if (synth_watch_stops(m->watch)) return BTF_OK; /* what is missing is no failure */
   return rtcGetDeviceError(m->device) == RTC_ERROR_NONE ? BTF_OK : embree_failure(m);
 }
 
-btf_status meso_create(const synth_material *material, uint64_t seed, mesostructure **out) {
+/* Everything after the shapes: copies around the tile, and the tree. */
+static btf_status finish(mesostructure *m) {
+  btf_status status = BTF_OK;
+  find_extent(m);
+  /* Rays down to 15 degrees above the plane stay inside the margin; flatter ones wrap. */
+  m->margin = fminf(fmaxf(3.8f * (m->top - m->bottom), 0.125f), 1.0f);
+  for (uint32_t i = 0; i < MESO_MAX_PARTS && status == BTF_OK; ++i) {
+    if (m->parts[i].triangle_count > 0) status = repeat_triangles(m, &m->parts[i]);
+    repeat_spheres(m, &m->parts[i]);
+  }
+  if (status == BTF_OK && m->failed)
+    status = btf_source_error(BTF_E_NOMEM, "%s: out of memory for the structure", m->material->name);
+  return status == BTF_OK && !synth_watch_stops(m->watch) ? hand_to_embree(m) : status;
+}
+
+btf_status meso_create(const synth_material *material, uint64_t seed, synth_watch *watch,
+                       mesostructure **out) {
   btf_status status;
   mesostructure *m = calloc(1, sizeof *m);
   *out = NULL;
   if (m == NULL) return btf_source_error(BTF_E_NOMEM, "%s: out of memory", material->name);
   m->material = material;
   m->seed = seed;
+  m->watch = watch;
   status = material->build(m);
   if (status == BTF_OK && m->failed)
     status = btf_source_error(BTF_E_NOMEM, "%s: out of memory for the structure", material->name);
-  if (status == BTF_OK) {
-    find_extent(m);
-    /* Rays down to 15 degrees above the plane stay inside the margin; flatter ones wrap. */
-    m->margin = fminf(fmaxf(3.8f * (m->top - m->bottom), 0.125f), 1.0f);
-    for (uint32_t i = 0; i < MESO_MAX_PARTS && status == BTF_OK; ++i) {
-      if (m->parts[i].triangle_count > 0) status = repeat_triangles(m, &m->parts[i]);
-      repeat_spheres(m, &m->parts[i]);
-    }
-    if (status == BTF_OK && m->failed)
-      status = btf_source_error(BTF_E_NOMEM, "%s: out of memory for the structure", material->name);
-  }
-  if (status == BTF_OK) status = hand_to_embree(m);
+  if (status == BTF_OK && !synth_watch_stops(watch)) status = finish(m);
+  if (synth_watch_stops(watch)) status = btf_source_error(BTF_E_CANCELLED, "cancelled");
+  m->watch = NULL;
   if (status != BTF_OK) {
     meso_free(m);
     return status;

@@ -11,6 +11,7 @@
 
 #include "material.h"
 #include "trace/embree_compat.h"
+#include "watch.h"
 
 #define MESO_MAX_PARTS 4
 /* Origins leave the surface by this much, in tiles. Single precision resolves 1e-7. */
@@ -40,16 +41,19 @@ typedef struct mesostructure {
   uint64_t seed;
   RTCDevice device;
   RTCScene scene;
-  float top, bottom; /* highest and lowest point */
-  float margin;      /* how far shapes are repeated beyond the tile */
-  bool failed;       /* memory ran out while shapes were added */
+  float top, bottom;  /* highest and lowest point */
+  float margin;       /* how far shapes are repeated beyond the tile */
+  bool failed;        /* memory ran out while shapes were added */
+  synth_watch *watch; /* while it is built; NULL = nobody asks to stop */
 } mesostructure;
 
-/* Builds a material's structure. On failure *out is NULL. */
-btf_status meso_create(const synth_material *material, uint64_t seed, mesostructure **out);
+/* Builds a material's structure. On failure *out is NULL; BTF_E_CANCELLED when the watch said so. */
+btf_status meso_create(const synth_material *material, uint64_t seed, synth_watch *watch,
+                       mesostructure **out);
 void meso_free(mesostructure *m);
 
-/* ---- Shapes, for the materials' build functions. Memory failures are noted in m->failed. ---- */
+/* ---- Shapes, for the materials' build functions. Memory failures are noted in m->failed; after a wish to
+ * stop shapes are left out. ---- */
 
 typedef float (*meso_height_fn)(float u, float v, const void *user);
 /* A periodic height field of cells x cells squares; cells a power of two, so that copies meet exactly. */

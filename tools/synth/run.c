@@ -6,68 +6,13 @@
 #include <string.h>
 #include <time.h>
 
-#include "material.h"
+#include "cli.h"
 #include "parallel.h"
-#include "tracer.h"
+#include "source.h"
 
 /* Floats of the block that a thread holds. */
 #define BLOCK_FLOATS ((size_t)1 << 20)
 #define RECORDED_PACKETS 4096u
-
-static double now(void) {
-  struct timespec t;
-  clock_gettime(CLOCK_MONOTONIC, &t);
-  return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-/* What one material needs to give samples: a structure to trace or an analytic state. */
-typedef struct source {
-  const synth_material *material;
-  void *state;
-#ifdef BTF_EMBREE_MAJOR
-  mesostructure *meso;
-  tracer_lights *lights;
-#endif
-} source;
-
-static void source_close(source *s) {
-  if (s->material != NULL && s->material->end != NULL && s->state != NULL) s->material->end(s->state);
-#ifdef BTF_EMBREE_MAJOR
-  meso_free(s->meso);
-  tracer_lights_free(s->lights);
-#endif
-  memset(s, 0, sizeof *s);
-}
-
-static btf_status find_material(const synth_desc *desc, const synth_material **out) {
-  *out = synth_find(desc->name);
-  if (*out == NULL)
-    return synth_needs_rays(desc->name)
-               ? btf_source_error(BTF_E_UNSUPPORTED,
-                                  "%s: this build has no Embree and makes analytic materials only",
-                                  desc->name)
-               : btf_source_error(BTF_E_INVALID_ARG, "%s: no such material", desc->name);
-  if (desc->width == 0 || desc->height == 0 || desc->spp == 0)
-    return btf_source_error(BTF_E_INVALID_ARG, "%s: width, height and samples must be at least 1",
-                            desc->name);
-  return BTF_OK;
-}
-
-static btf_status source_open(const synth_desc *desc, const synth_material *material, source *s) {
-  btf_status status = BTF_OK;
-  memset(s, 0, sizeof *s);
-  s->material = material;
-  if (s->material->fill != NULL)
-    status = s->material->prepare(desc->width, desc->height, desc->seed, &s->state);
-#ifdef BTF_EMBREE_MAJOR
-  if (s->material->fill == NULL) {
-    status = tracer_lights_create(desc->lights, &s->lights);
-    if (status == BTF_OK) status = meso_create(s->material, desc->seed, &s->meso);
-  }
-#endif
-  if (status != BTF_OK) source_close(s);
-  return status;
-}
 
 /* ---- Blocks ---- */
 
@@ -80,16 +25,16 @@ typedef struct worker {
 
 typedef struct run {
   const synth_desc *desc;
-  const source *source;
-  const btf_job *job;
+  const synth_source *source;
+  synth_watch watch;
   btf_dataset_writer *writer;
   worker *workers;
   uint32_t views, width, height;         /* of one block */
   uint32_t blocks_v, blocks_x, blocks_y; /* number of blocks each way */
-  atomic_uint_least64_t next, done;
-  atomic_int failure; /* first failure; the message is its thread's */
+  atomic_uint_least64_t next;            /* block */
+  atomic_uint_least64_t done;            /* texels of a view */
+  atomic_int failure;                    /* first failure; the message is its thread's */
   char message[512];
-  double last_report;
 } run;
 
 static uint32_t at_most(size_t wanted, uint32_t limit) {
@@ -121,7 +66,18 @@ static void fail_run(run *r, btf_status status, const char *message) {
     snprintf(r->message, sizeof r->message, "%s", message);
 }
 
-static void sample_block(const run *r, worker *w, const btf_block *b, const btf_strides *bytes) {
+static uint64_t total_texels(const run *r) {
+  return (uint64_t)btf_dirset_count(r->desc->views) * r->desc->width * r->desc->height;
+}
+
+static void count_done(run *r, uint64_t texels, uint32_t thread) {
+  const uint64_t done = atomic_fetch_add(&r->done, texels) + texels;
+  if (thread == 0) r->watch.fraction = (double)done / (double)total_texels(r);
+}
+
+/* False if the run is to stop. */
+static bool sample_block(run *r, uint32_t thread, const btf_block *b, const btf_strides *bytes) {
+  const worker *w = &r->workers[thread];
   const synth_desc *d = r->desc;
   const float *views = btf_dirset_directions(d->views);
   const size_t view_step = (size_t)bytes->view / sizeof(float),
@@ -135,18 +91,22 @@ static void sample_block(const run *r, worker *w, const btf_block *b, const btf_
           b->x0,     b->y0,      b->width, b->height, view, btf_dirset_directions(d->lights),
           b->lights, light_step, row_step, texel_step};
       r->source->material->fill(r->source->state, &block, dst);
+      count_done(r, (uint64_t)b->width * b->height, thread);
       continue;
     }
 #ifdef BTF_EMBREE_MAJOR
-    for (uint32_t y = 0; y < b->height; ++y)
-      for (uint32_t x = 0; x < b->width; ++x)
+    for (uint32_t y = 0; y < b->height && !synth_watch_stops(&r->watch); ++y)
+      for (uint32_t x = 0; x < b->width && !synth_watch_stops(&r->watch); ++x) {
         tracer_texel(w->tracer, b->x0 + x, b->y0 + y, vec3_load(view), dst + y * row_step + x * texel_step,
                      light_step, 1);
+        count_done(r, 1, thread);
+      }
 #endif
   }
+  return !synth_watch_stops(&r->watch);
 }
 
-static bool make_block(run *r, uint64_t index, worker *w) {
+static bool make_block(run *r, uint64_t index, uint32_t thread) {
   const synth_desc *d = r->desc;
   btf_block b = {0};
   btf_strides bytes;
@@ -172,19 +132,24 @@ static bool make_block(run *r, uint64_t index, worker *w) {
     bytes.light = bytes.y * (ptrdiff_t)b.height;
     bytes.view = bytes.light * (ptrdiff_t)b.lights;
   }
-  sample_block(r, w, &b, &bytes);
-  const btf_status status = btf_dataset_writer_put(r->writer, &b, w->samples, &bytes);
+  if (!sample_block(r, thread, &b, &bytes)) {
+    fail_run(r, BTF_E_CANCELLED, "cancelled");
+    return false;
+  }
+  const btf_status status = btf_dataset_writer_put(r->writer, &b, r->workers[thread].samples, &bytes);
   if (status != BTF_OK) fail_run(r, status, btf_error_message());
   return status == BTF_OK;
 }
 
-/* Thread 0 is the caller's and reports. */
-static void report(run *r, uint64_t total) {
-  const double seconds = now();
-  if (r->job == NULL || r->job->progress == NULL || seconds - r->last_report < 0.1) return;
-  r->last_report = seconds;
-  if (r->job->progress(r->job->user, (double)atomic_load(&r->done) / (double)total, "sampling") != 0)
-    fail_run(r, BTF_E_CANCELLED, "cancelled");
+/* Thread 0 is the caller's. Without blocks left it waits for the others, so that somebody still asks the job.
+ */
+static void wait_for_others(run *r) {
+  const struct timespec moment = {0, 5000000};
+  while (atomic_load(&r->done) < total_texels(r) && atomic_load(&r->failure) == BTF_OK) {
+    nanosleep(&moment, NULL);
+    r->watch.fraction = (double)atomic_load(&r->done) / (double)total_texels(r);
+    if (synth_watch_stops(&r->watch)) fail_run(r, BTF_E_CANCELLED, "cancelled");
+  }
 }
 
 static bool work(void *user, uint64_t index, uint32_t thread) {
@@ -193,11 +158,11 @@ static bool work(void *user, uint64_t index, uint32_t thread) {
   (void)index;
   for (;;) {
     const uint64_t block = atomic_fetch_add(&r->next, 1);
-    if (block >= total || atomic_load(&r->failure) != BTF_OK) return true;
-    if (!make_block(r, block, &r->workers[thread])) return true;
-    atomic_fetch_add(&r->done, 1);
-    if (thread == 0) report(r, total);
+    if (block >= total || atomic_load(&r->failure) != BTF_OK) break;
+    if (!make_block(r, block, thread)) break;
   }
+  if (thread == 0) wait_for_others(r);
+  return true;
 }
 
 static void workers_free(run *r, uint32_t threads) {
@@ -223,6 +188,7 @@ static btf_status workers_create(run *r, uint32_t threads) {
       const btf_status status =
           tracer_create(r->source->meso, r->source->lights, r->desc, RECORDED_PACKETS, &r->workers[i].tracer);
       if (status != BTF_OK) return status;
+      r->workers[i].tracer->watch = &r->watch;
     }
 #endif
   }
@@ -283,23 +249,26 @@ static btf_status create_writer(btf_context *ctx, const synth_desc *desc, const 
 btf_status synth_run(btf_context *ctx, const synth_desc *desc, const char *path, const btf_job *job,
                      synth_stats *stats) {
   const uint32_t threads = desc->threads > 0 ? desc->threads : 1;
-  const double start = now();
+  const double start = cli_seconds();
   double sampling;
   const synth_material *material;
-  source s = {0};
-  run r = {.desc = desc, .source = &s, .job = job};
+  synth_source s = {0};
+  run r = {.desc = desc, .source = &s};
   synth_stats counted = {0};
-  btf_status status = find_material(desc, &material);
+  btf_status status = synth_source_find(desc, &material);
   if (stats != NULL) *stats = counted;
   if (status != BTF_OK) return status;
   /* The writer first: a path that cannot be written to is found before the structure is built. */
   status = create_writer(ctx, desc, material, path, &r.writer);
   if (status != BTF_OK) return status;
-  status = source_open(desc, material, &s);
-  counted.build_seconds = now() - start;
-  sampling = now();
+  synth_watch_begin(&r.watch, job);
+  r.watch.stage = "building";
+  status = synth_source_open(desc, material, &r.watch, &s);
+  counted.build_seconds = cli_seconds() - start;
+  sampling = cli_seconds();
   if (status == BTF_OK) {
     plan_blocks(&r);
+    r.watch.stage = "sampling";
     status = workers_create(&r, threads);
   }
   if (status == BTF_OK) {
@@ -309,7 +278,7 @@ btf_status synth_run(btf_context *ctx, const synth_desc *desc, const char *path,
   }
   if (status == BTF_OK) {
     status = btf_dataset_writer_finish(r.writer);
-    counted.seconds = now() - sampling;
+    counted.seconds = cli_seconds() - sampling;
     counted.samples =
         (uint64_t)btf_dirset_count(desc->views) * btf_dirset_count(desc->lights) * desc->width * desc->height;
 #ifdef BTF_EMBREE_MAJOR
@@ -323,77 +292,7 @@ btf_status synth_run(btf_context *ctx, const synth_desc *desc, const char *path,
     btf_source_error(status, "%s", message);
   }
   workers_free(&r, threads);
-  source_close(&s);
+  synth_source_close(&s);
   if (stats != NULL) *stats = counted;
   return status;
-}
-
-/* ---- One texel at a time ---- */
-
-struct synth_sampler {
-  source source;
-  synth_desc desc;
-#ifdef BTF_EMBREE_MAJOR
-  tracer *tracer;
-#endif
-};
-
-btf_status synth_sampler_create(const synth_desc *desc, synth_sampler **out) {
-  synth_sampler *s = calloc(1, sizeof *s);
-  const synth_material *material;
-  btf_status status;
-  *out = NULL;
-  if (s == NULL) return btf_source_error(BTF_E_NOMEM, "%s: out of memory", desc->name);
-  s->desc = *desc;
-  status = find_material(desc, &material);
-  if (status == BTF_OK) status = source_open(desc, material, &s->source);
-#ifdef BTF_EMBREE_MAJOR
-  if (status == BTF_OK && s->source.meso != NULL)
-    status = tracer_create(s->source.meso, s->source.lights, desc, 0, &s->tracer);
-#endif
-  if (status != BTF_OK) {
-    synth_sampler_free(s);
-    return status;
-  }
-  *out = s;
-  return BTF_OK;
-}
-
-void synth_sampler_texel(synth_sampler *s, uint32_t x, uint32_t y, const float view[3], float *rgb) {
-  if (s->source.material->fill != NULL) {
-    const analytic_block block = {
-        x, y, 1, 1, view, btf_dirset_directions(s->desc.lights), btf_dirset_count(s->desc.lights), 3, 3, 3};
-    s->source.material->fill(s->source.state, &block, rgb);
-  }
-#ifdef BTF_EMBREE_MAJOR
-  else {
-    tracer_texel(s->tracer, x, y, vec3_load(view), rgb, 3, 1);
-  }
-#endif
-}
-
-bool synth_sampler_hit(synth_sampler *s, uint32_t x, uint32_t y, const float view[3], uint32_t *part,
-                       float position[3]) {
-#ifdef BTF_EMBREE_MAJOR
-  surface_hit hit;
-  const float u = ((float)x + 0.5f) / (float)s->desc.width, v = ((float)y + 0.5f) / (float)s->desc.height;
-  if (s->tracer != NULL && tracer_first_hit(s->tracer, u, v, vec3_load(view), &hit)) {
-    *part = hit.part;
-    vec3_store(position, hit.position);
-    position[2] -= s->source.meso->top;
-    return true;
-  }
-#else
-  (void)s, (void)x, (void)y, (void)view, (void)part, (void)position;
-#endif
-  return false;
-}
-
-void synth_sampler_free(synth_sampler *s) {
-  if (s == NULL) return;
-#ifdef BTF_EMBREE_MAJOR
-  tracer_free(s->tracer);
-#endif
-  source_close(&s->source);
-  free(s);
 }

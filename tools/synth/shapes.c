@@ -59,9 +59,14 @@ void meso_add_height_field(mesostructure *m, uint32_t part_index, uint32_t cells
     return;
   }
   const float step = 1.0f / (float)cells;
-  for (uint32_t y = 0; y < cells; ++y)
+  for (uint32_t y = 0; y < cells; ++y) {
+    if (synth_watch_stops(m->watch)) {
+      free(heights);
+      return;
+    }
     for (uint32_t x = 0; x < cells; ++x)
       heights[y * cells + x] = height((float)x * step, (float)y * step, user);
+  }
 #define HEIGHT(x, y) heights[((y) % cells) * cells + (x) % cells]
   for (uint32_t y = 0; y < side; ++y)
     for (uint32_t x = 0; x < side; ++x) {
@@ -117,7 +122,8 @@ void meso_add_tube(mesostructure *m, uint32_t part_index, uint32_t object, const
                    uint32_t count, uint32_t sides, const vec3 *repeat, vec3 up) {
   meso_part *part = &m->parts[part_index];
   const uint32_t rings = repeat != NULL ? count + 1 : count, first = part->vertex_count;
-  if (!room_for_mesh(m, part, rings * (sides + 1), 2 * (rings - 1) * sides)) return;
+  if (synth_watch_stops(m->watch) || !room_for_mesh(m, part, rings * (sides + 1), 2 * (rings - 1) * sides))
+    return;
   for (uint32_t i = 0; i < rings; ++i) {
     const tube_point before = point_of_tube(points, count, repeat, (int)i - 1);
     const tube_point here = point_of_tube(points, count, repeat, (int)i);

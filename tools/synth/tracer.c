@@ -225,7 +225,7 @@ void tracer_texel(tracer *t, uint32_t x, uint32_t y, vec3 view, float *dst, size
   const tracer_lights *lights = t->lights;
   const uint32_t texel_seed = sampling_hash(sampling_hash(t->seed, x), y);
   memset(t->sum_r, 0, 3 * (size_t)lights->padded * sizeof *t->sum_r);
-  for (uint32_t sample = 0; sample < t->spp; ++sample) {
+  for (uint32_t sample = 0; sample < t->spp && !synth_watch_stops(t->watch); ++sample) {
     float jx = 0.5f, jy = 0.5f;
     if (t->sampling == SYNTH_SAMPLING_AREA) sampling_pair(sampling_hash(texel_seed, 0), sample, &jx, &jy);
     trace_path(t, ((float)x + jx) / (float)t->width, ((float)y + jy) / (float)t->height, view, texel_seed,

@@ -36,7 +36,8 @@ typedef struct tracer {
   float *memory, *cosine_r, *cosine_g, *cosine_b, *visible, *sum_r, *sum_g, *sum_b;
   uint32_t *asked;
   uint64_t path_rays, shadow_rays, packets;
-  ray_record record; /* room 0 = nothing is kept */
+  ray_record record;  /* room 0 = nothing is kept */
+  synth_watch *watch; /* NULL = nobody asks to stop */
 } tracer;
 
 btf_status tracer_create(const mesostructure *meso, const tracer_lights *lights, const synth_desc *desc,
@@ -44,7 +45,7 @@ btf_status tracer_create(const mesostructure *meso, const tracer_lights *lights,
 void tracer_free(tracer *t);
 
 /* f of one texel and view for every light; the sample of light l and channel c goes to dst[l * light_step +
- * c * channel_step]. */
+ * c * channel_step]. When the watch stops it, what is written is of no use. */
 void tracer_texel(tracer *t, uint32_t x, uint32_t y, vec3 view, float *dst, size_t light_step,
                   size_t channel_step);
 /* The first hit behind a point of the reference plane. */
