@@ -28,7 +28,8 @@ typedef struct codec_case {
   /* Largest differences of evaluations as shares of the model's largest value: scalar against vector kernels;
    * models fitted by one and by two threads; fitted to resident and to streamed data. 0 = bit for bit. */
   double isa, threads, streamed;
-  uint64_t slack; /* bytes a fit may hold beyond its working set and its result */
+  double most_psnr; /* a quality in dB that options can ask for on the smooth material; 0 = 40 */
+  uint64_t slack;   /* bytes a fit may hold beyond its working set and its result */
 } codec_case;
 extern const codec_case codec_cases[];
 extern const size_t codec_case_count;

@@ -24,40 +24,65 @@ const codec_material codec_materials[MATERIALS] = {
 
 /* A diffuse and a Blinn-Phong part, whose colours and exponent change slowly over the texture: close to what
  * each of the methods is made for. */
-float codec_material_value(const codec_material *m, const float light[3], const float view[3], uint32_t x,
-                           uint32_t y, uint32_t channel) {
+
+static float polish_of(const codec_material *m, uint32_t x, uint32_t y) {
   const float turn = 6.2831853f, s = turn * (float)x / (float)m->width,
               t = turn * (float)y / (float)m->height;
-  const float paint = 0.5f + 0.4f * sinf(s + 0.8f * (float)channel) * cosf(t);
-  const float polish = 0.6f + 0.3f * cosf(s - t);
+  return 0.6f + 0.3f * cosf(s - t);
+}
+
+static float paint_of(const codec_material *m, uint32_t x, uint32_t y, uint32_t channel) {
+  const float turn = 6.2831853f, s = turn * (float)x / (float)m->width,
+              t = turn * (float)y / (float)m->height;
+  return 0.5f + 0.4f * sinf(s + 0.8f * (float)channel) * cosf(t);
+}
+
+static float lobe_of(const float light[3], const float view[3], float polish) {
   const float h[3] = {light[0] + view[0], light[1] + view[1], light[2] + view[2]};
   const float length = sqrtf(h[0] * h[0] + h[1] * h[1] + h[2] * h[2]);
-  const float lobe = powf(h[2] / length, 6.0f + 2.0f * polish);
+  return powf(h[2] / length, 6.0f + 2.0f * polish);
+}
+
+static float value_of(const codec_material *m, const float light[3], float paint, float polish, float lobe) {
   const float f = m->least + m->contrast * paint + m->gloss * polish * lobe;
   return m->quantity == BTF_QUANTITY_BRDF_COS ? f * light[2] : f;
 }
 
+float codec_material_value(const codec_material *m, const float light[3], const float view[3], uint32_t x,
+                           uint32_t y, uint32_t channel) {
+  const float polish = polish_of(m, x, y);
+  return value_of(m, light, paint_of(m, x, y, channel), polish, lobe_of(light, view, polish));
+}
+
 /* ---- as a data set ---- */
 
+enum { MOST_CHANNELS = 32 };
+
+/* Samples are kept where they are streamed, too, out of sight of the context: fits with little memory read
+ * them dozens of times. */
 typedef struct source {
   const codec_material *material;
   btf_dirset *lights, *views;
   uint32_t channels;
-  float *samples; /* NULL where it is streamed */
+  float *samples;
+  btf_strides strides; /* of these */
 } source;
 
 static btf_status read_block(void *user, const btf_block *b, void *dst, const btf_strides *s) {
   const source *from = user;
-  const float *lights = btf_dirset_directions(from->lights), *views = btf_dirset_directions(from->views);
+  const btf_strides *own = &from->strides;
   for (uint32_t v = 0; v < b->views; v++)
     for (uint32_t l = 0; l < b->lights; l++)
-      for (uint32_t y = 0; y < b->height; y++)
-        for (uint32_t x = 0; x < b->width; x++)
+      for (uint32_t y = 0; y < b->height; y++) {
+        const char *src = (const char *)from->samples + (ptrdiff_t)(b->view0 + v) * own->view +
+                          (ptrdiff_t)(b->light0 + l) * own->light + (ptrdiff_t)(b->y0 + y) * own->y +
+                          (ptrdiff_t)b->x0 * own->x;
+        char *to = (char *)dst + (ptrdiff_t)v * s->view + (ptrdiff_t)l * s->light + (ptrdiff_t)y * s->y;
+        for (uint32_t x = 0; x < b->width; x++, src += own->x, to += s->x)
           for (uint32_t c = 0; c < from->channels; c++)
-            *(float *)((char *)dst + (ptrdiff_t)v * s->view + (ptrdiff_t)l * s->light + (ptrdiff_t)y * s->y +
-                       (ptrdiff_t)x * s->x + (ptrdiff_t)c * s->channel) =
-                codec_material_value(from->material, lights + 3 * (size_t)(b->light0 + l),
-                                     views + 3 * (size_t)(b->view0 + v), b->x0 + x, b->y0 + y, c);
+            *(float *)(void *)(to + (ptrdiff_t)c * s->channel) =
+                *(const float *)(const void *)(src + (ptrdiff_t)c * own->channel);
+      }
   return BTF_OK;
 }
 
@@ -81,20 +106,46 @@ uint64_t codec_material_samples(uint32_t material, uint32_t channels) {
   return samples;
 }
 
-static btf_status fill_resident(source *from, const codec_dataset_recipe *recipe, btf_dataset_desc *desc) {
-  const uint32_t lights = btf_dirset_count(from->lights), views = btf_dirset_count(from->views);
-  const btf_block all = {0, views, 0, lights, 0, 0, desc->width, desc->height};
-  btf_strides *s = &desc->strides;
-  from->samples = malloc(codec_material_samples(recipe->material, from->channels) * sizeof(float));
+static void fill_texel(const source *from, uint32_t x, uint32_t y) {
+  const codec_material *m = from->material;
+  const float *lights = btf_dirset_directions(from->lights), *views = btf_dirset_directions(from->views);
+  const float polish = polish_of(m, x, y);
+  float paint[MOST_CHANNELS];
+  for (uint32_t c = 0; c < from->channels; c++) paint[c] = paint_of(m, x, y, c);
+  char *texel = (char *)from->samples + (ptrdiff_t)y * from->strides.y + (ptrdiff_t)x * from->strides.x;
+  for (uint32_t v = 0; v < btf_dirset_count(from->views); v++)
+    for (uint32_t l = 0; l < btf_dirset_count(from->lights); l++) {
+      const float *light = lights + 3 * (size_t)l;
+      const float lobe = lobe_of(light, views + 3 * (size_t)v, polish);
+      char *to = texel + (ptrdiff_t)v * from->strides.view + (ptrdiff_t)l * from->strides.light;
+      for (uint32_t c = 0; c < from->channels; c++)
+        *(float *)(void *)(to + (ptrdiff_t)c * from->strides.channel) =
+            value_of(m, light, paint[c], polish, lobe);
+    }
+}
+
+static btf_status fill(source *from, const codec_dataset_recipe *recipe) {
+  const codec_material *m = from->material;
+  const ptrdiff_t lights = (ptrdiff_t)btf_dirset_count(from->lights),
+                  views = (ptrdiff_t)btf_dirset_count(from->views);
+  const uint64_t count = codec_material_samples(recipe->material, from->channels);
+  btf_strides *s = &from->strides;
+  from->samples = malloc(count * sizeof(float));
   if (from->samples == NULL) return BTF_E_NOMEM;
   s->channel = sizeof(float);
-  s->light = s->channel * (ptrdiff_t)from->channels;
-  s->view = s->light * (ptrdiff_t)lights;
-  s->x = s->view * (ptrdiff_t)views;
-  s->y = s->x * (ptrdiff_t)desc->width;
-  desc->data = from->samples;
-  (void)read_block(from, &all, from->samples, s);
-  const uint64_t count = codec_material_samples(recipe->material, from->channels);
+  if (recipe->source == SOURCE_IMAGES) {
+    s->x = s->channel * (ptrdiff_t)from->channels;
+    s->y = s->x * (ptrdiff_t)m->width;
+    s->light = s->y * (ptrdiff_t)m->height;
+    s->view = s->light * lights;
+  } else {
+    s->light = s->channel * (ptrdiff_t)from->channels;
+    s->view = s->light * lights;
+    s->x = s->view * views;
+    s->y = s->x * (ptrdiff_t)m->width;
+  }
+  for (uint32_t y = 0; y < m->height; y++)
+    for (uint32_t x = 0; x < m->width; x++) fill_texel(from, x, y);
   for (uint64_t i = 0; recipe->scale != 0.0f && i < count; i++) from->samples[i] *= recipe->scale;
   if (recipe->odd_sample != 0) from->samples[recipe->odd_sample - 1] = recipe->odd;
   return BTF_OK;
@@ -103,9 +154,10 @@ static btf_status fill_resident(source *from, const codec_dataset_recipe *recipe
 btf_status codec_material_dataset(btf_context *ctx, const codec_dataset_recipe *recipe, btf_dataset **out) {
   const codec_material *m = &codec_materials[recipe->material];
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
-  source *from = calloc(1, sizeof *from);
   btf_status status;
   *out = NULL;
+  if (recipe->channels > MOST_CHANNELS) return BTF_E_INVALID_ARG;
+  source *from = calloc(1, sizeof *from);
   if (from == NULL) return BTF_E_NOMEM;
   from->material = m;
   from->channels = recipe->channels;
@@ -121,8 +173,10 @@ btf_status codec_material_dataset(btf_context *ctx, const codec_dataset_recipe *
   desc.name = m->name;
   desc.user = from;
   desc.release = release;
+  if (status == BTF_OK) status = fill(from, recipe);
   if (recipe->source == SOURCE_RESIDENT) {
-    if (status == BTF_OK) status = fill_resident(from, recipe, &desc);
+    desc.data = from->samples;
+    desc.strides = from->strides;
   } else {
     desc.read = read_block;
     desc.flags = recipe->source == SOURCE_IMAGES ? BTF_DATASET_IMAGE_MAJOR : BTF_DATASET_CONCURRENT_READ;

@@ -40,10 +40,10 @@ enum {
 };
 typedef struct codec_dataset_recipe {
   uint32_t material, channels, source;
-  /* 0, or 1 + the number of the resident sample, in the order of memory, that is `odd` instead. */
+  /* 0, or 1 + the number of the sample, in the order of memory, that is `odd` instead. */
   uint64_t odd_sample;
   float odd;
-  float scale; /* what resident samples are multiplied by; 0 = 1 */
+  float scale; /* what samples are multiplied by; 0 = 1 */
 } codec_dataset_recipe;
 btf_status codec_material_dataset(btf_context *ctx, const codec_dataset_recipe *recipe, btf_dataset **out);
 /* Samples of a material. */

@@ -3,174 +3,52 @@
  * loader is called through the codec's table with chunks in memory, below all checksums. */
 #include "test_materials.h"
 
-#include "container/container.h"
-#include "model/model.h"
-#include "registry/registry.h"
+#include "hostile_payload.h"
 
 static test_memory memory;
 
 extern const btf_codec_vtbl btf_codec_fmf;
 
-enum { MAX_CHUNKS = 16 };
-
-/* Chunks to load from; stands where the loader expects a reader. */
-typedef struct chunk_list {
-  btf_context *ctx;
-  struct {
-    uint32_t tag, index;
-    unsigned char *data;
-    uint64_t size;
-  } chunk[MAX_CHUNKS];
-  uint32_t count;
-} chunk_list;
-
-static btf_status get_listed(btf_chunk_reader *reader, uint32_t tag, uint32_t index, const void **data,
-                             uint64_t *size) {
-  const chunk_list *list = (const chunk_list *)(const void *)reader;
-  for (uint32_t i = 0; i < list->count; i++) {
-    if (list->chunk[i].tag != tag || list->chunk[i].index != index) continue;
-    *data = list->chunk[i].data;
-    *size = list->chunk[i].size;
-    return BTF_OK;
-  }
-  return (btfi_host()->fail)(list->ctx, BTF_E_CORRUPT, "no such chunk");
+static bool is_plain(const hostile_payload *p) {
+  return hostile_data(p, FMF_TAG_HEAD)[0] == FMF_PLAIN;
 }
 
-/* A copy of the chunk of exactly its size, so that a sanitizer sees reads beyond it. */
-static unsigned char *copy_chunk(const void *data, uint64_t size) {
-  unsigned char *copy = NULL;
-  assert_int_equal(posix_memalign((void **)&copy, 64, size > 0 ? size : 1), 0);
-  memcpy(copy, data, size);
-  return copy;
-}
-
-static chunk_list list_chunks(const btf_model *model, btf_context *ctx) {
-  chunk_list list = {.ctx = ctx};
-  for (uint32_t i = 0; i < btfi_payload_chunk_count(model->payload); i++) {
-    btfi_chunk chunk;
-    assert_ok(btfi_payload_chunk(model->payload, i, &chunk));
-    assert_true(list.count < MAX_CHUNKS);
-    list.chunk[list.count].tag = chunk.tag;
-    list.chunk[list.count].index = chunk.index;
-    list.chunk[list.count].size = chunk.size;
-    list.chunk[list.count++].data = copy_chunk(chunk.data, chunk.size);
-  }
-  return list;
-}
-
-static void free_chunks(chunk_list *list) {
-  for (uint32_t i = 0; i < list->count; i++) free(list->chunk[i].data);
-}
-
-/* Loads, and if that works evaluates; returns the status. */
-static btf_status try_load(btf_context *ctx, const btf_model *model, chunk_list *list) {
-  btf_host host = *btfi_host();
-  void *state = NULL;
-  host.get = get_listed;
-  const btf_status status = btf_codec_fmf.load(&host, ctx, btf_codec_fmf.format_write, &model->shape,
-                                               (btf_chunk_reader *)(void *)list, &state);
-  if (status != BTF_OK) {
-    assert_null(state);
-    assert_true(btf_error_message()[0] != '\0');
-    return status;
-  }
-  for (int i = 0; i < 20; i++) {
-    btf_query q = {
-        {0}, {0}, {test_random(), test_random()}, 3.0f * test_random(), i % 4 == 0 ? BTF_QUERY_NEAREST : 0};
-    float out[64];
-    test_random_direction(q.light);
-    test_random_direction(q.view);
-    btf_codec_fmf.eval(state, &q, out);
-    btf_codec_fmf.texel(state, btf_codec_fmf.levels(state) - 1, 0, 0, 1, 2, out);
-  }
-  btf_codec_fmf.destroy(&host, ctx, state);
-  return BTF_OK;
-}
-
-static uint32_t find_chunk(const chunk_list *list, uint32_t tag) {
-  for (uint32_t i = 0; i < list->count; i++)
-    if (list->chunk[i].tag == tag) return i;
-  fail_msg("chunk is missing");
-  return 0;
-}
-
-typedef void (*check_fn)(btf_context *ctx, const btf_model *model, chunk_list *list, int plain);
-
-static void with_models(check_fn check) {
+static void with_models(void (*check)(hostile_payload *payload)) {
   const char *const settings[] = {"components=6 storage=f16", "components=6 storage=q8 mean=true",
                                   "components=6 storage=f16 coding=plain",
                                   "components=6 storage=bf16 coding=plain",
                                   "components=6 storage=q8 coding=plain"};
   btf_context *ctx = test_context(&memory);
   material m = material_create(ctx, MATERIAL_GLOSSY, "grid:4x2", 6, 4, 3, true, BTF_WRAP_PERIODIC);
-  for (size_t i = 0; i < 5; i++) {
-    btf_model *model = fmf_fit(ctx, &m, settings[i]);
-    chunk_list list = list_chunks(model, ctx);
-    assert_ok(try_load(ctx, model, &list));
-    check(ctx, model, &list, i >= 2);
-    assert_ok(try_load(ctx, model, &list));
-    free_chunks(&list);
-    btf_model_release(model);
-  }
+  for (size_t i = 0; i < 5; i++) hostile_with(ctx, &btf_codec_fmf, fmf_fit(ctx, &m, settings[i]), check);
   material_release(&m);
   test_context_done(ctx, &memory);
 }
 
-/* Missing, shortened by any number of bytes, or longer. */
-static void check_sizes(btf_context *ctx, const btf_model *model, chunk_list *list, int plain) {
-  (void)plain;
-  for (uint32_t i = 0; i < list->count; i++) {
-    const uint32_t tag = list->chunk[i].tag;
-    const uint64_t size = list->chunk[i].size;
-    unsigned char *data = list->chunk[i].data;
-    list->chunk[i].tag = 0;
-    assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-    list->chunk[i].tag = tag;
-    for (uint64_t cut = 0; cut<size; cut += size> 200 ? size / 97 : 1) {
-      list->chunk[i].data = copy_chunk(data, cut);
-      list->chunk[i].size = cut;
-      assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-      free(list->chunk[i].data);
-    }
-    list->chunk[i].data = calloc(1, size + 1);
-    memcpy(list->chunk[i].data, data, size);
-    list->chunk[i].size = size + 1;
-    assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-    free(list->chunk[i].data);
-    list->chunk[i].data = data;
-    list->chunk[i].size = size;
-  }
-}
-
 static void test_sizes(void **unused) {
   (void)unused;
-  with_models(check_sizes);
+  with_models(hostile_sizes);
 }
 
 /* Wild values of every field of the header: refused, but for those that change nothing that is read. */
-static void check_header(btf_context *ctx, const btf_model *model, chunk_list *list, int plain) {
+static void check_header(hostile_payload *p) {
   const uint32_t wild[] = {0, 3, 7, 1025, 0x7fffffff, 0x80000000u, 0xffffffffu};
-  unsigned char *head = list->chunk[find_chunk(list, FMF_TAG_HEAD)].data, saved[FMF_HEAD_BYTES];
-  memcpy(saved, head, sizeof saved);
+  const bool plain = is_plain(p);
+  unsigned char *head = hostile_data(p, FMF_TAG_HEAD);
   for (uint32_t field = 0; field < 6; field++) {
     for (size_t i = 0; i < sizeof wild / sizeof *wild; i++) {
       if (memcmp(head + 4 * field, &wild[i], 4) == 0) continue;
-      memcpy(head + 4 * field, &wild[i], 4);
       const int harmless = (field == 5 && wild[i] == 0) || (field == 3 && !plain) ||
                            (field == 4 && wild[i] < 4 && wild[i] > 0) ||
                            (field == 1 && wild[i] < 4 && !plain);
-      const btf_status status = try_load(ctx, model, list);
+      const btf_status status = hostile_change(p, head + 4 * field, &wild[i], 4);
       if (status != BTF_E_CORRUPT && !harmless) fail_msg("field %u = %u: status %d", field, wild[i], status);
-      memcpy(head, saved, sizeof saved);
     }
   }
   const double numbers[] = {NAN, INFINITY, -1.0};
   for (uint32_t field = 0; field < 5; field++) {
-    for (size_t i = 0; i < 3; i++) {
-      memcpy(head + 24 + 8 * field, &numbers[i], 8);
-      assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-      memcpy(head, saved, sizeof saved);
-    }
+    for (size_t i = 0; i < 3; i++)
+      assert_status(hostile_change(p, head + 24 + 8 * field, &numbers[i], 8), BTF_E_CORRUPT);
   }
 }
 
@@ -180,32 +58,19 @@ static void test_header(void **unused) {
 }
 
 /* Singular values and scales that are not finite, columns of components that do not exist. */
-static void check_numbers(btf_context *ctx, const btf_model *model, chunk_list *list, int plain) {
+static void check_numbers(hostile_payload *p) {
   const double wrong[] = {NAN, INFINITY, 0.0, -3.0};
-  unsigned char *sigma = list->chunk[find_chunk(list, FMF_TAG_SIGMA)].data, saved[16];
-  memcpy(saved, sigma, 8);
-  for (size_t i = 0; i < 4; i++) {
-    memcpy(sigma, &wrong[i], 8);
-    assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-  }
-  memcpy(sigma, saved, 8);
-  if (!plain) return;
-  unsigned char *column = list->chunk[find_chunk(list, FMF_TAG_COLUMNS)].data;
+  unsigned char *sigma = hostile_data(p, FMF_TAG_SIGMA);
+  for (size_t i = 0; i < 4; i++) assert_status(hostile_change(p, sigma, &wrong[i], 8), BTF_E_CORRUPT);
+  if (!is_plain(p)) return;
+  unsigned char *column = hostile_data(p, FMF_TAG_COLUMNS);
   const float scales[] = {NAN, INFINITY, -INFINITY};
-  memcpy(saved, column, 16);
   for (size_t i = 0; i < 3; i++) {
-    for (uint32_t side = 0; side < 2; side++) {
-      memcpy(column + 8 + 4 * side, &scales[i], 4);
-      assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-      memcpy(column, saved, 16);
-    }
+    for (uint32_t side = 0; side < 2; side++)
+      assert_status(hostile_change(p, column + 8 + 4 * side, &scales[i], 4), BTF_E_CORRUPT);
   }
-  column[0] = 200;
-  assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-  memcpy(column, saved, 16);
-  column[4] = 2;
-  assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-  memcpy(column, saved, 16);
+  assert_status(hostile_change(p, column, "\310", 1), BTF_E_CORRUPT); /* component 200 */
+  assert_status(hostile_change(p, column + 4, "\2", 1), BTF_E_CORRUPT);
 }
 
 static void test_numbers(void **unused) {
@@ -213,23 +78,13 @@ static void test_numbers(void **unused) {
   with_models(check_numbers);
 }
 
-/* Flipped bits anywhere: loads or is refused, and never reads or writes where it must not. */
-static void check_bits(btf_context *ctx, const btf_model *model, chunk_list *list, int plain) {
-  (void)plain;
-  for (int turn = 0; turn < 400; turn++) {
-    const uint32_t i = turn % list->count;
-    const uint64_t at = (uint64_t)((double)test_random() * (double)list->chunk[i].size);
-    const unsigned char bit = (unsigned char)(1u << turn / 7 % 8);
-    list->chunk[i].data[at] ^= bit;
-    const btf_status status = try_load(ctx, model, list);
-    assert_true(status == BTF_OK || status == BTF_E_CORRUPT || status == BTF_E_NOMEM);
-    list->chunk[i].data[at] ^= bit;
-  }
+static void flip_bits(hostile_payload *p) {
+  hostile_bits(p, 400, 1);
 }
 
 static void test_bits(void **unused) {
   (void)unused;
-  with_models(check_bits);
+  with_models(flip_bits);
 }
 
 int main(void) {

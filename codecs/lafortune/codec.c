@@ -11,16 +11,20 @@ static const char *const colours[] = {"luminance", "channel", NULL};
 static const char *const storages[] = {"f32", "f16", NULL};
 static const char *const weightings[] = {"uniform", "cosine", "log", NULL};
 
-BTF_PARAM(lobes, BTF_PARAM_INT, "lobes of each texel; classical kinds have 1 unless this is set", NULL, "2",
-          NULL, 1, LAF_MAX_LOBES);
+BTF_PARAM(lobes, BTF_PARAM_INT,
+          "lobes of each texel, for classical kinds 1 unless set; unused with psnr or rmse", NULL, "2", NULL,
+          1, LAF_MAX_LOBES);
 BTF_PARAM(kind, BTF_PARAM_CHOICE,
           "generalised cosine lobes, diagonal or of a full matrix, or a classical model", NULL, "diagonal",
           kinds, 0, 0);
 BTF_PARAM(color, BTF_PARAM_CHOICE, "lobes shared by all channels, or each channel its own", NULL, "luminance",
           colours, 0, 0);
 BTF_PARAM(storage, BTF_PARAM_CHOICE, "values in the file and while evaluating", NULL, "f16", storages, 0, 0);
-BTF_PARAM(rmse, BTF_PARAM_FLOAT, "largest root mean square error, which picks the lobes; 0 = lobes as given",
-          NULL, "0", NULL, 0, INFINITY);
+BTF_PARAM(psnr, BTF_PARAM_FLOAT,
+          "least quality, which picks the lobes; peak is the 99.9th percentile of the data", "dB", "0", NULL,
+          0, 200);
+BTF_PARAM(rmse, BTF_PARAM_FLOAT, "largest root mean square error, which picks the lobes", NULL, "0", NULL, 0,
+          INFINITY);
 BTF_PARAM(weights, BTF_PARAM_CHOICE,
           "errors count alike, times the cosine of the light, or by their ratio to the value", NULL,
           "uniform", weightings, 0, 0);
@@ -34,8 +38,9 @@ BTF_PARAM(advise, BTF_PARAM_FLOAT,
           "relative error above which a warning names codecs that suit the material better", NULL, "0.25",
           NULL, 0, INFINITY);
 
-static const btf_param_desc *const params[] = {&lobes,  &kind,       &color,     &storage, &rmse,   &weights,
-                                               &starts, &iterations, &tolerance, &levels,  &advise, NULL};
+static const btf_param_desc *const params[] = {&lobes,  &kind,    &color,  &storage,    &psnr,
+                                               &rmse,   &weights, &starts, &iterations, &tolerance,
+                                               &levels, &advise,  NULL};
 
 static uint32_t level_count(const void *state) {
   return ((const btfi_lafortune_state *)state)->levels;

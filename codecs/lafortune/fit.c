@@ -12,6 +12,8 @@
 /* Albedos of a level are divided by a power of two that brings the largest to 2^12 or below: far from
  * overflow, and dark texels far from where halves lose their precision. */
 enum { LARGEST_EXPONENT = 12 };
+/* Work of a reading, as a share of that of fitting a level. */
+#define READING_SHARE 0.05
 
 typedef struct texel_error {
   double squared, energy;
@@ -29,7 +31,9 @@ typedef struct fitting {
   btfi_lafortune_head head;
   btfi_lafortune_shared shared;
   uint32_t weights, threads;
-  double rmse, advise;
+  bool has_target;
+  double rmse, psnr; /* to reach, if there is a target, and what it stands for; 0 = an rmse */
+  double advise;
   uint64_t scratch_bytes, visit_budget;
   unsigned char *scratch;
   /* Of the level at hand: */
@@ -57,12 +61,29 @@ static void read_options(fitting *f, const btf_options *options) {
   f->head.levels = (uint32_t)host->option(options, "levels");
   if (f->head.levels == 0 || f->head.levels > all_levels) f->head.levels = all_levels;
   f->weights = (uint32_t)host->option(options, "weights");
-  f->rmse = host->option(options, "rmse");
+  f->has_target = host->option(options, "psnr") > 0.0 || host->option(options, "rmse") > 0.0;
   f->advise = host->option(options, "advise");
   f->settings.starts = (uint32_t)host->option(options, "starts");
   f->settings.iterations = (uint32_t)host->option(options, "iterations");
   f->settings.tolerance = host->option(options, "tolerance");
-  if (f->rmse > 0.0) f->head.lobes = 1;
+}
+
+/* Of the two targets the stricter one counts. The peak takes a reading of its own. */
+static btf_status set_target(fitting *f, const btf_options *options) {
+  const double psnr = f->host->option(options, "psnr"), rmse = f->host->option(options, "rmse");
+  f->rmse = rmse > 0.0 ? rmse : INFINITY;
+  if (psnr > 0.0) {
+    btf_statistics statistics = {.struct_size = sizeof statistics};
+    f->done = READING_SHARE * (double)level_texels(f, 0);
+    BTF_TRY(f->host->measure(f->ctx, f->ds, f->job->max_working_set, NULL, &statistics, f->job, 0.0,
+                             f->done / f->all));
+    const double error = statistics.peak * pow(10.0, -psnr / 20.0);
+    if (error < f->rmse) {
+      f->rmse = error;
+      f->psnr = psnr;
+    }
+  }
+  return BTF_OK;
 }
 
 static void set_lobes(fitting *f, uint32_t lobes) {
@@ -75,7 +96,7 @@ static void set_lobes(fitting *f, uint32_t lobes) {
 static btf_status make_room(fitting *f) {
   const btf_host *host = f->host;
   const uint32_t lights = host->dirset_count(f->desc.lights), views = host->dirset_count(f->desc.views);
-  const uint32_t most_lobes = f->rmse > 0.0 ? LAF_MAX_LOBES : f->head.lobes;
+  const uint32_t most_lobes = f->has_target ? LAF_MAX_LOBES : f->head.lobes;
   const uint64_t pairs = (uint64_t)lights * views, texels = level_texels(f, 0);
   if (pairs > UINT32_MAX / 2)
     return host->fail(f->ctx, BTF_E_LIMIT,
@@ -113,6 +134,14 @@ static float stored(const fitting *f, float value) {
   return f->head.storage == LAF_F16 ? btf_half_to_float(btf_float_to_half(value)) : value;
 }
 
+/* As the payload holds it: levels are scaled by powers of two. */
+static float stored_albedo(const fitting *f, double albedo) {
+  const float value = (float)fmin(albedo, 1e38);
+  int exponent;
+  const float share = frexpf(value, &exponent);
+  return ldexpf(stored(f, share), exponent);
+}
+
 static void fit_texel(void *user, uint32_t level, uint32_t x, uint32_t y, const float *abrdf,
                       uint32_t thread) {
   fitting *f = user;
@@ -133,7 +162,11 @@ static void fit_texel(void *user, uint32_t level, uint32_t x, uint32_t y, const 
       for (uint32_t i = 0; i < layout->shape; i++) *to++ = fitted.shape[j][i] = stored(f, fitted.shape[j][i]);
     btfi_lafortune_fit_albedos(scratch, &fitted);
     for (uint32_t j = 0; j <= layout->lobes; j++)
-      for (uint32_t c = 0; c < layout->group_channels; c++) *to++ = (float)fmin(fitted.albedo[j][c], 1e38);
+      for (uint32_t c = 0; c < layout->group_channels; c++) {
+        *to = stored_albedo(f, fitted.albedo[j][c]);
+        fitted.albedo[j][c] = (double)*to++;
+      }
+    btfi_lafortune_measure(scratch, &fitted);
     error->squared += fitted.squared_error;
     error->energy += fitted.energy;
   }
@@ -211,16 +244,16 @@ static double sample_count(const fitting *f) {
 
 /* The finest level; with an error to reach, one lobe more until it is reached. */
 static btf_status fit_finest(fitting *f) {
-  const uint32_t most = f->rmse > 0.0 ? LAF_MAX_LOBES : f->head.lobes;
-  for (uint32_t lobes = f->rmse > 0.0 ? 1 : most; lobes <= most; lobes++) {
+  const uint32_t most = f->has_target ? LAF_MAX_LOBES : f->head.lobes;
+  for (uint32_t lobes = f->has_target ? 1 : most; lobes <= most; lobes++) {
     set_lobes(f, lobes);
     BTF_TRY(fit_level(f, 0));
     sum_errors(f);
-    if (sqrt(f->head.squared_error / sample_count(f)) <= f->rmse) break;
+    if (sqrt(f->head.squared_error / sample_count(f)) <= f->rmse) return BTF_OK;
   }
-  if (f->rmse > 0.0 && sqrt(f->head.squared_error / sample_count(f)) > f->rmse)
+  if (f->has_target)
     btf_warn_missed(f->host, f->ctx, "lafortune", f->head.lobes, "lobes", f->head.squared_error,
-                    f->rmse * f->rmse * sample_count(f), sample_count(f), 0.0);
+                    f->rmse * f->rmse * sample_count(f), sample_count(f), f->psnr);
   return BTF_OK;
 }
 
@@ -242,7 +275,8 @@ static btf_status fit_all(fitting *f, const btf_options *options) {
   BTF_TRY(f->host->dataset_describe(f->ds, &f->desc));
   read_options(f, options);
   for (uint32_t level = 0; level < f->head.levels; level++) f->all += (double)level_texels(f, level);
-  if (f->rmse > 0.0) f->all += (LAF_MAX_LOBES - 1) * (double)level_texels(f, 0);
+  if (f->has_target) f->all += (LAF_MAX_LOBES - 1 + READING_SHARE) * (double)level_texels(f, 0);
+  BTF_TRY(set_target(f, options));
   BTF_TRY(make_room(f));
   BTF_TRY(fit_finest(f));
   BTF_TRY(write_level(f, 0, scales));

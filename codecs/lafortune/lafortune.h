@@ -119,7 +119,7 @@ bool btfi_lafortune_make_base(const btfi_lafortune_shared *shared, btfi_lafortun
 void btfi_lafortune_add_dots(const btfi_lafortune_shared *shared, const float *a, uint32_t a_count,
                              const float *b, uint32_t b_count, bool upper, double *sums, size_t sums_ld);
 
-/* ---- fit of one group of channels of one texel (solve.c, albedos.c) ---- */
+/* ---- fit of one group of channels of one texel (solve.c, point.c, albedos.c) ---- */
 
 typedef struct btfi_lafortune_settings {
   uint32_t lobes, starts, iterations;
@@ -128,7 +128,7 @@ typedef struct btfi_lafortune_settings {
 
 typedef struct btfi_lafortune_fitted {
   double cost;                               /* weighted squared error */
-  double squared_error, energy;              /* without weights, and of the data itself; by fit_albedos */
+  double squared_error, energy;              /* without weights, and of the data itself; by measure */
   float shape[LAF_MAX_LOBES][LAF_MAX_SHAPE]; /* as stored, in descending order of what lobes carry */
   double albedo[LAF_MAX_ALBEDOS][LAF_MAX_CHANNELS];
   uint32_t iterations; /* of all starts */
@@ -148,8 +148,10 @@ void btfi_lafortune_scratch_trace(btfi_lafortune_scratch *scratch, btfi_lafortun
 void btfi_lafortune_fit_group(btfi_lafortune_scratch *scratch, const btfi_lafortune_settings *settings,
                               const float *values, uint32_t stride, uint32_t channels,
                               btfi_lafortune_fitted *out);
-/* Albedos and cost of lobes as they are in `shape`, after fit_group of the same values. */
+/* Albedos of lobes as they are in `shape`, after fit_group of the same values. */
 void btfi_lafortune_fit_albedos(btfi_lafortune_scratch *scratch, btfi_lafortune_fitted *io);
+/* Cost, error and energy with the albedos as they are in `io`, after fit_albedos of the same lobes. */
+void btfi_lafortune_measure(btfi_lafortune_scratch *scratch, btfi_lafortune_fitted *io);
 /* The least cost over all albedos of lobes of these shapes, and its gradient by the variables of each lobe:
  * its coefficients and the logarithm of its exponent, or the logarithms of Ward's 1 / roughness^2. For tests.
  */

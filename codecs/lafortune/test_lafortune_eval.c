@@ -22,7 +22,7 @@ static const char *const settings_list[] = {"",
                                             "kind=ward lobes=2 weights=log starts=1",
                                             "kind=lewis color=channel weights=cosine starts=1",
                                             "kind=ward lobes=3 storage=f32 starts=1 iterations=10",
-                                            "rmse=0.02 levels=2 starts=1 iterations=20"};
+                                            "psnr=25 rmse=0.02 levels=2 starts=1 iterations=20"};
 enum { SETTINGS = sizeof settings_list / sizeof *settings_list };
 
 /* Data of a material that no lobe fits exactly, of any number of channels. */
@@ -341,9 +341,10 @@ static void test_sizes(void **unused) {
     error[colour] = sqrt(lafortune_squared_error(model, &m) / material_energy(&m));
     printf("two lobes, %s: %u values of a texel, relative error %.4f\n", colour ? "channel" : "luminance",
            s->layout.values, error[colour]);
-    /* What the header says is what is decoded, but for halves of the albedos, and ANA13 is told of it. */
+    /* What the header says is what is decoded, and ANA13 is told of it: kernels are off by some 1e-6 of the
+     * values, in either direction of an error of some hundredths. */
     assert_relative(s->head.energy, material_energy(&m), 1e-6);
-    assert_near(sqrt(s->head.squared_error / s->head.energy), error[colour], 3e-4);
+    assert_near(sqrt(s->head.squared_error / s->head.energy), error[colour], 1e-6);
     btf_model_release(model);
   }
   /* More freedom, and the luminance fit as one of its points, but for other local minima. */
@@ -572,7 +573,7 @@ static void test_allocation_failures(void **unused) {
   (void)unused;
   btf_context *ctx = test_context_with(&memory, NULL, 1);
   material m = noisy(ctx, "grid:3x2", 3, 2, 3, BTF_QUANTITY_BRDF, BTF_WRAP_PERIODIC);
-  const char *const settings[] = {"starts=1 iterations=2", "rmse=1e-6 kind=ward starts=1 iterations=2"};
+  const char *const settings[] = {"starts=1 iterations=2", "psnr=120 kind=ward starts=1 iterations=2"};
   for (size_t i = 0; i < 2; i++) {
     int finished = 0;
     for (long n = 1; n < 400 && !finished; n++) {

@@ -6,6 +6,7 @@
 
 static const char *const filters[] = {"mean", "binomial", "paper", NULL};
 static const char *const means[] = {"phong", "table", NULL};
+static const char *const budgets[] = {"fixed", "adaptive", NULL};
 static const char *const storages[] = {"f16", "f32", NULL};
 
 BTF_PARAM(y, BTF_PARAM_INT, "components of luma at each level; unused with psnr or rmse", NULL, "8", NULL, 1,
@@ -19,8 +20,14 @@ BTF_PARAM(psnr, BTF_PARAM_FLOAT,
           NULL, 0, 200);
 BTF_PARAM(rmse, BTF_PARAM_FLOAT, "largest root mean square error, which picks the components", NULL, "0",
           NULL, 0, INFINITY);
-BTF_PARAM(max_components, BTF_PARAM_INT, "most components of a channel and level that psnr or rmse may pick",
-          NULL, "32", NULL, 1, LAPLACIAN_MAX_COMPONENTS);
+BTF_PARAM(max_components, BTF_PARAM_INT,
+          "most components of a channel and level that psnr, rmse or adaptive may pick", NULL, "32", NULL, 1,
+          LAPLACIAN_MAX_COMPONENTS);
+BTF_PARAM(
+    budget, BTF_PARAM_CHOICE,
+    "y, cb and cr components at each level, or as many bytes spread over levels and channels where they "
+    "help most",
+    NULL, "fixed", budgets, 0, 0);
 BTF_PARAM(filter, BTF_PARAM_CHOICE,
           "of the pyramid: area mean or binomial with linear upsampling, or the paper's 3x3 box with nearest",
           NULL, "mean", filters, 0, 0);
@@ -34,8 +41,8 @@ BTF_PARAM(storage, BTF_PARAM_CHOICE, "values in the file and while evaluating", 
 BTF_PARAM(accuracy, BTF_PARAM_FLOAT, "error of each decomposition above the optimum, relative", NULL, "0.005",
           NULL, 1e-6, 1);
 
-static const btf_param_desc *const params[] = {&y,      &cb,   &cr,     &psnr,    &rmse,     &max_components,
-                                               &filter, &mean, &levels, &storage, &accuracy, NULL};
+static const btf_param_desc *const params[] = {
+    &y, &cb, &cr, &psnr, &rmse, &max_components, &budget, &filter, &mean, &levels, &storage, &accuracy, NULL};
 
 static uint32_t level_count(const void *state) {
   return ((const btfi_laplacian_state *)state)->grid.levels;

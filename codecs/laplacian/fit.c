@@ -117,8 +117,8 @@ static btf_status fit_means(btfi_laplacian_fitting *f, const btf_dataset_desc *d
       head->chroma_rms[c - 1] = sqrt(squares / (double)pairs);
     }
   }
-  BTF_TRY(btfi_laplacian_fit_phong(f->host, f->ctx, desc->lights, desc->views, mean, &head->phong,
-                                   &head->mean_residual));
+  BTF_TRY(btfi_laplacian_fit_phong(f->host, f->ctx, desc->lights, desc->views, desc->quantity, mean,
+                                   &head->phong, &head->mean_residual));
   const float *lights = f->host->dirset_directions(desc->lights),
               *views = f->host->dirset_directions(desc->views);
   for (uint64_t i = 0; i < pairs; i++)
@@ -271,13 +271,21 @@ typedef struct plan {
   double accuracy, end;  /* fraction of the fit when all bands are done */
 } plan;
 
+static const char *const count_names[3] = {"y", "cb", "cr"};
+
+/* Components of a channel that each band is decomposed into: as many as are asked for or may be picked. */
+static uint32_t most_components(const btfi_laplacian_fitting *f, const btf_options *options,
+                                uint32_t channel) {
+  const uint32_t fixed = (uint32_t)f->host->option(options, count_names[channel]),
+                 most = (uint32_t)f->host->option(options, "max_components");
+  return f->has_target || (f->adaptive && most > fixed) ? most : fixed;
+}
+
 static void make_plan(const btfi_laplacian_fitting *f, const btf_options *options, plan *p) {
-  const char *const names[3] = {"y", "cb", "cr"};
-  const bool target = f->host->option(options, "psnr") > 0.0 || f->host->option(options, "rmse") > 0.0;
   p->bands = 0;
   for (uint32_t k = f->head.levels; k-- > 0;)
     for (uint32_t c = 0; c < 3; c++) {
-      p->rank[p->bands] = (uint32_t)f->host->option(options, target ? "max_components" : names[c]);
+      p->rank[p->bands] = most_components(f, options, c);
       p->band[p->bands] = (btfi_laplacian_band){k, c, NULL};
       p->bytes[p->bands] =
           f->source.pairs * f->source.grid.width[k] * f->source.grid.height[k] * (uint64_t)sizeof(float);
@@ -286,7 +294,7 @@ static void make_plan(const btfi_laplacian_fitting *f, const btf_options *option
   p->budget = f->job->max_working_set - f->source.buffers;
   p->room = p->budget / 5 * 2;
   p->accuracy = f->host->option(options, "accuracy");
-  p->end = target ? 0.75 : 0.95;
+  p->end = f->has_target || f->adaptive ? 0.75 : 0.95;
 }
 
 /* One reading and the decomposition of what it kept: bands first .. last - 1, which may be none. */
@@ -376,13 +384,10 @@ static uint32_t stop_level(const btf_dataset_desc *desc, uint32_t components, ui
  * memory two fifths of the rest: 9/20 are left for a decomposition, of which that of level 0 with the most
  * components needs the most. */
 static btf_status working_set_too_small(btfi_laplacian_fitting *f, const btf_options *options) {
-  const char *const names[4] = {"y", "cb", "cr", "max_components"};
-  const bool target = f->host->option(options, "psnr") > 0.0 || f->host->option(options, "rmse") > 0.0;
   uint64_t least = f->source.least_working_set;
   uint32_t rank = 0;
-  for (uint32_t i = target ? 3 : 0; i < (target ? 4 : 3); i++)
-    rank = rank < (uint32_t)f->host->option(options, names[i]) ? (uint32_t)f->host->option(options, names[i])
-                                                               : rank;
+  for (uint32_t c = 0; c < 3; c++)
+    if (rank < most_components(f, options, c)) rank = most_components(f, options, c);
   if (rank > 0) {
     const btfi_laplacian_band finest = {0, LAPLACIAN_Y, NULL};
     const double accuracy = f->host->option(options, "accuracy");
@@ -403,14 +408,15 @@ static btf_status fit_all(btfi_laplacian_fitting *f, const btf_dataset *ds, cons
   if (desc.channels != 3)
     return host->fail(f->ctx, BTF_E_UNSUPPORTED, "laplacian: takes RGB data; this data set has %u channels",
                       desc.channels);
-  const bool target = host->option(options, "psnr") > 0.0 || host->option(options, "rmse") > 0.0;
   const uint32_t most = host->mip_count(desc.width, desc.height);
+  f->has_target = host->option(options, "psnr") > 0.0 || host->option(options, "rmse") > 0.0;
+  f->adaptive = !f->has_target && host->option(options, "budget") == (double)LAPLACIAN_ADAPTIVE;
   f->head.filter = (uint32_t)host->option(options, "filter");
   f->head.mean = (uint32_t)host->option(options, "mean");
   f->head.storage = (uint32_t)host->option(options, "storage");
   f->head.levels = (uint32_t)host->option(options, "levels");
   if (f->head.levels == 0)
-    f->head.levels = stop_level(&desc, target ? 8 : (uint32_t)host->option(options, "y"), most);
+    f->head.levels = stop_level(&desc, f->has_target ? 8 : (uint32_t)host->option(options, "y"), most);
   if (f->head.levels > most) f->head.levels = most;
   if (f->head.levels > LAPLACIAN_MAX_LEVELS) f->head.levels = LAPLACIAN_MAX_LEVELS;
   const btfi_laplacian_grid grid =
@@ -426,8 +432,12 @@ static btf_status fit_all(btfi_laplacian_fitting *f, const btf_dataset *ds, cons
   if (status == BTF_E_LIMIT && f->least_for_band > 0) return working_set_too_small(f, options);
   BTF_TRY(status);
   for (uint32_t k = 0; k < f->head.levels; k++)
-    for (uint32_t c = 0; c < 3; c++) f->head.count[k][c] = f->factors[k][c].rank;
-  if (f->target > 0.0 || target) BTF_TRY(btfi_laplacian_meet_target(f, 0.75, 0.97));
+    for (uint32_t c = 0; c < 3; c++) {
+      const uint32_t asked = (uint32_t)host->option(options, count_names[c]), found = f->factors[k][c].rank;
+      f->head.count[k][c] = asked < found ? asked : found;
+    }
+  if (f->has_target) BTF_TRY(btfi_laplacian_meet_target(f, 0.75, 0.97));
+  if (f->adaptive) BTF_TRY(btfi_laplacian_spend_budget(f, 0.75, 0.97));
   BTF_TRY(host->progress(f->job, 0.97, "storing"));
   BTF_TRY(btfi_laplacian_write(f));
   host->log(f->ctx, BTF_LOG_INFO,

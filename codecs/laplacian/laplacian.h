@@ -19,6 +19,7 @@ enum { LAPLACIAN_Y, LAPLACIAN_CB, LAPLACIAN_CR, LAPLACIAN_CHANNELS };
 enum { LAPLACIAN_MEAN_FILTER, LAPLACIAN_BINOMIAL_FILTER, LAPLACIAN_PAPER_FILTER, LAPLACIAN_FILTERS };
 enum { LAPLACIAN_PHONG, LAPLACIAN_TABLE, LAPLACIAN_MEANS };
 enum { LAPLACIAN_F16, LAPLACIAN_F32, LAPLACIAN_STORAGES };
+enum { LAPLACIAN_FIXED, LAPLACIAN_ADAPTIVE };
 enum {
   LAPLACIAN_MAX_LEVELS = 25,     /* of a texture 2^24 texels wide */
   LAPLACIAN_MAX_COMPONENTS = 64, /* of a channel of a level; the top level may have the mean besides */
@@ -127,10 +128,12 @@ typedef struct btfi_laplacian_phong {
   double ka, kd, ks, alpha;
 } btfi_laplacian_phong;
 #define LAPLACIAN_LARGEST_ALPHA 4096.0
-/* Least squares over all pairs of values[(view * lights + light) * 3]; *rms is what is left. */
+/* Least squares over all pairs of values[(view * lights + light) * 3]; *rms is what is left. Where directions
+ * do not tell terms apart, ka goes before kd, and kd before ka for data that hold the cosine; ks comes last.
+ * No lobe is more than twice as high between the samples as at the highest of them. */
 btf_status btfi_laplacian_fit_phong(const btf_host *host, btf_context *ctx, const btf_dirset *lights,
-                                    const btf_dirset *views, const double *values, btfi_laplacian_phong *out,
-                                    double *rms);
+                                    const btf_dirset *views, uint32_t quantity, const double *values,
+                                    btfi_laplacian_phong *out, double *rms);
 float btfi_laplacian_phong_value(const btfi_laplacian_phong *phong, const float light[3],
                                  const float view[3]);
 
@@ -215,13 +218,18 @@ typedef struct btfi_laplacian_fitting {
   float *mean;             /* pairs x 3: what is taken from the low-pass image */
   float mean_scale[3];     /* largest magnitude of a table's means */
   uint64_t least_for_band; /* 0, or what the decomposition needs that had too little memory */
-  double target;           /* squared RGB error, or 0 */
-  double target_psnr;      /* what it stands for; 0 = an rmse */
-  double peak;             /* 99.9th percentile of the samples, if a target needs it */
+  bool has_target, adaptive;
+  double target;      /* squared RGB error, or 0 */
+  double target_psnr; /* what it stands for; 0 = an rmse */
+  double peak;        /* 99.9th percentile of the samples, if a target needs it */
 } btfi_laplacian_fitting;
 
 /* Picks counts by greatest reduction of the error per byte until what is decoded meets the target. */
 btf_status btfi_laplacian_meet_target(btfi_laplacian_fitting *f, double from, double to);
+/* Spends the bytes of the counts as they are on those that reduce the error most, if that is better. */
+btf_status btfi_laplacian_spend_budget(btfi_laplacian_fitting *f, double from, double to);
+/* The head as written: with the means of a table among the components. */
+btfi_laplacian_head btfi_laplacian_stored_head(const btfi_laplacian_fitting *f);
 /* What storage makes of a value. */
 float btfi_laplacian_round(uint32_t storage, float value);
 btf_status btfi_laplacian_write(btfi_laplacian_fitting *f);

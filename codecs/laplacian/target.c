@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* target.c: how many components each band gets, so that what is decoded meets a target with few bytes. */
+/* target.c: how many components each band gets: as few bytes as meet a target, or the best of given bytes. */
 #include "laplacian.h"
 
 #include <math.h>
@@ -75,9 +75,29 @@ static double band_cost(const btfi_laplacian_fitting *f, uint32_t k) {
   return (double)f->source.pairs + (double)f->source.grid.width[k] * f->source.grid.height[k];
 }
 
+/* The band whose next component takes most of the error for its bytes, and what it takes; 0 = none is left
+ * among those that are not `closed`. */
+static double best_component(const btfi_laplacian_fitting *f, bool closed[LAPLACIAN_MAX_LEVELS][3],
+                             uint32_t *level, uint32_t *channel) {
+  double best = 0.0, gain = 0.0;
+  for (uint32_t k = 0; k < f->head.levels; k++)
+    for (uint32_t c = 0; c < 3; c++) {
+      const uint32_t next = f->head.count[k][c];
+      if (closed[k][c] || next >= f->factors[k][c].rank) continue;
+      const double less = worth(f, k, c) * f->factors[k][c].sigma[next] * f->factors[k][c].sigma[next];
+      if (less / band_cost(f, k) <= best) continue;
+      best = less / band_cost(f, k);
+      gain = less;
+      *level = k;
+      *channel = c;
+    }
+  return gain;
+}
+
 /* Adds components by error per byte until the error, as if bands did not overlap, is at most `allowed`;
  * returns it. */
 static double choose(btfi_laplacian_fitting *f, double allowed) {
+  bool closed[LAPLACIAN_MAX_LEVELS][3] = {{false}};
   double error = 0.0;
   for (uint32_t k = 0; k < f->head.levels; k++)
     for (uint32_t c = 0; c < 3; c++) {
@@ -87,24 +107,46 @@ static double choose(btfi_laplacian_fitting *f, double allowed) {
         error += worth(f, k, c) * f->factors[k][c].sigma[j] * f->factors[k][c].sigma[j];
     }
   while (error > allowed) {
-    double best = 0.0, gain = 0.0;
     uint32_t level = 0, channel = 0;
-    for (uint32_t k = 0; k < f->head.levels; k++)
-      for (uint32_t c = 0; c < 3; c++) {
-        const uint32_t next = f->head.count[k][c];
-        if (next >= f->factors[k][c].rank) continue;
-        const double less = worth(f, k, c) * f->factors[k][c].sigma[next] * f->factors[k][c].sigma[next];
-        if (less / band_cost(f, k) <= best) continue;
-        best = less / band_cost(f, k);
-        gain = less;
-        level = k;
-        channel = c;
-      }
-    if (best == 0.0) break;
+    const double gain = best_component(f, closed, &level, &channel);
+    if (gain == 0.0) break;
     f->head.count[level][channel]++;
     error -= gain;
   }
   return fmax(error, 0.0);
+}
+
+/* Bytes of the tables with the counts as they are. */
+static uint64_t table_bytes(const btfi_laplacian_fitting *f) {
+  const btfi_laplacian_head head = btfi_laplacian_stored_head(f);
+  btfi_laplacian_layout layout;
+  if (!btfi_laplacian_layout_of(&head, &f->source.grid, f->source.lights, f->source.views, &layout))
+    return UINT64_MAX;
+  uint64_t bytes = layout.eigen_bytes + 4 * (uint64_t)layout.first[head.levels];
+  for (uint32_t k = 0; k < head.levels; k++) bytes += layout.weight_bytes[k];
+  return bytes;
+}
+
+btf_status btfi_laplacian_spend_budget(btfi_laplacian_fitting *f, double from, double to) {
+  const uint64_t budget = table_bytes(f);
+  bool closed[LAPLACIAN_MAX_LEVELS][3] = {{false}};
+  uint32_t fixed[LAPLACIAN_MAX_LEVELS][3], level = 0, channel = 0;
+  double fixed_error;
+  memcpy(fixed, f->head.count, sizeof fixed);
+  BTF_TRY(measure(f, from, 0.5 * (from + to), &fixed_error));
+  memset(f->head.count, 0, sizeof f->head.count);
+  while (best_component(f, closed, &level, &channel) > 0.0) {
+    f->head.count[level][channel]++;
+    if (table_bytes(f) <= budget) continue;
+    f->head.count[level][channel]--; /* and no more of that band: tables only grow */
+    closed[level][channel] = true;
+  }
+  BTF_TRY(measure(f, 0.5 * (from + to), to, &f->head.squared_error));
+  /* Bands overlap, which the choice does not know. */
+  if (f->head.squared_error <= fixed_error) return BTF_OK;
+  memcpy(f->head.count, fixed, sizeof fixed);
+  f->head.squared_error = fixed_error;
+  return BTF_OK;
 }
 
 static bool all_taken(const btfi_laplacian_fitting *f) {

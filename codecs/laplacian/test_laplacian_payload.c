@@ -4,9 +4,7 @@
  * checksums. */
 #include "test_laplacian_fits.h"
 
-#include "container/container.h"
-#include "model/model.h"
-#include "registry/registry.h"
+#include "hostile_payload.h"
 
 static test_memory memory;
 
@@ -111,187 +109,55 @@ static void test_packed_equals_tables(void **unused) {
 
 /* ---- hostile payloads ---- */
 
-enum { MAX_CHUNKS = 16 };
-
-/* Chunks to load from; stands where the loader expects a reader. */
-typedef struct chunk_list {
-  btf_context *ctx;
-  struct {
-    uint32_t tag, index;
-    unsigned char *data;
-    uint64_t size;
-  } chunk[MAX_CHUNKS];
-  uint32_t count;
-} chunk_list;
-
-static btf_status get_listed(btf_chunk_reader *reader, uint32_t tag, uint32_t index, const void **data,
-                             uint64_t *size) {
-  const chunk_list *list = (const chunk_list *)(const void *)reader;
-  for (uint32_t i = 0; i < list->count; i++) {
-    if (list->chunk[i].tag != tag || list->chunk[i].index != index) continue;
-    *data = list->chunk[i].data;
-    *size = list->chunk[i].size;
-    return BTF_OK;
-  }
-  return (btfi_host()->fail)(list->ctx, BTF_E_CORRUPT, "no such chunk");
-}
-
-/* A copy of the chunk of exactly its size, so that a sanitizer sees reads beyond it. */
-static unsigned char *copy_chunk(const void *data, uint64_t size) {
-  unsigned char *copy = NULL;
-  assert_int_equal(posix_memalign((void **)&copy, 64, size > 0 ? size : 1), 0);
-  memcpy(copy, data, size);
-  return copy;
-}
-
-static chunk_list list_chunks(const btf_model *model, btf_context *ctx) {
-  chunk_list list = {.ctx = ctx};
-  for (uint32_t i = 0; i < btfi_payload_chunk_count(model->payload); i++) {
-    btfi_chunk chunk;
-    assert_ok(btfi_payload_chunk(model->payload, i, &chunk));
-    assert_true(list.count < MAX_CHUNKS);
-    list.chunk[list.count].tag = chunk.tag;
-    list.chunk[list.count].index = chunk.index;
-    list.chunk[list.count].size = chunk.size;
-    list.chunk[list.count++].data = copy_chunk(chunk.data, chunk.size);
-  }
-  return list;
-}
-
-/* Loads, and if that works evaluates; returns the status. */
-static btf_status try_load(btf_context *ctx, const btf_model *model, chunk_list *list) {
-  btf_host host = *btfi_host();
-  void *state = NULL;
-  host.get = get_listed;
-  const btf_status status =
-      btf_codec_laplacian.load(&host, ctx, 1, &model->shape, (btf_chunk_reader *)(void *)list, &state);
-  if (status != BTF_OK) {
-    assert_null(state);
-    assert_true(btf_error_message()[0] != '\0');
-    return status;
-  }
-  for (int i = 0; i < 20; i++) {
-    btf_query q = {
-        {0}, {0}, {test_random(), test_random()}, 3.0f * test_random(), i % 4 == 0 ? BTF_QUERY_NEAREST : 0};
-    float out[3];
-    test_random_direction(q.light);
-    test_random_direction(q.view);
-    btf_codec_laplacian.eval(state, &q, out);
-    btf_codec_laplacian.texel(state, btf_codec_laplacian.levels(state) - 1, 0, 0, 1, 2, out);
-    btf_codec_laplacian.texel(state, 0, model->width - 1, model->height - 1, 7, 7, out);
-  }
-  btf_codec_laplacian.destroy(&host, ctx, state);
-  return BTF_OK;
-}
-
-static uint32_t find_chunk(const chunk_list *list, uint32_t tag) {
-  for (uint32_t i = 0; i < list->count; i++)
-    if (list->chunk[i].tag == tag) return i;
-  fail_msg("chunk is missing");
-  return 0;
-}
-
-typedef void (*check_fn)(btf_context *ctx, const btf_model *model, chunk_list *list);
-
-static void with_models(check_fn check) {
+static void with_models(void (*check)(hostile_payload *payload)) {
   const char *const settings[] = {"y=3 cb=1 levels=3", "y=3 storage=f32 filter=paper mean=table levels=2",
                                   "filter=binomial y=1 cb=0 cr=0 levels=1"};
   btf_context *ctx = test_context(&memory);
   material m = material_create(ctx, MATERIAL_GLOSSY, "grid:4x2", 6, 4, 3, true, BTF_WRAP_PERIODIC);
-  for (size_t i = 0; i < 3; i++) {
-    btf_model *model = laplacian_fit(ctx, &m, settings[i]);
-    chunk_list list = list_chunks(model, ctx);
-    assert_ok(try_load(ctx, model, &list));
-    check(ctx, model, &list);
-    assert_ok(try_load(ctx, model, &list));
-    for (uint32_t n = 0; n < list.count; n++) free(list.chunk[n].data);
-    btf_model_release(model);
-  }
+  for (size_t i = 0; i < 3; i++)
+    hostile_with(ctx, &btf_codec_laplacian, laplacian_fit(ctx, &m, settings[i]), check);
   material_release(&m);
   test_context_done(ctx, &memory);
 }
 
-/* Missing, shortened by any number of bytes, or longer. */
-static void check_sizes(btf_context *ctx, const btf_model *model, chunk_list *list) {
-  for (uint32_t i = 0; i < list->count; i++) {
-    const uint32_t tag = list->chunk[i].tag;
-    const uint64_t size = list->chunk[i].size;
-    unsigned char *data = list->chunk[i].data;
-    list->chunk[i].tag = 0;
-    assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-    list->chunk[i].tag = tag;
-    const uint64_t step = size > 200 ? size / 97 : 1;
-    for (uint64_t cut = 0; cut < size; cut += step) {
-      list->chunk[i].data = copy_chunk(data, cut);
-      list->chunk[i].size = cut;
-      assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-      free(list->chunk[i].data);
-    }
-    list->chunk[i].data = calloc(1, size + 1);
-    memcpy(list->chunk[i].data, data, size);
-    list->chunk[i].size = size + 1;
-    assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-    free(list->chunk[i].data);
-    list->chunk[i].data = data;
-    list->chunk[i].size = size;
-  }
-}
-
 static void test_sizes(void **unused) {
   (void)unused;
-  with_models(check_sizes);
+  with_models(hostile_sizes);
 }
 
 /* Wild values of every field of the header and of the levels: refused, but for those that change nothing that
  * is read. */
-static void check_numbers(btf_context *ctx, const btf_model *model, chunk_list *list) {
+static void check_numbers(hostile_payload *p) {
   const uint32_t wild[] = {0, 1, 2, 3, 9, 26, 0x7fffffff, 0x80000000u, 0xffffffffu};
   const double wrong[] = {NAN, INFINITY, -INFINITY};
-  unsigned char *head = list->chunk[find_chunk(list, LAPLACIAN_TAG_HEAD)].data, saved[LAPLACIAN_HEAD_BYTES];
-  unsigned char *levels = list->chunk[find_chunk(list, LAPLACIAN_TAG_LEVELS)].data;
-  memcpy(saved, head, sizeof saved);
+  unsigned char *head = hostile_data(p, LAPLACIAN_TAG_HEAD);
+  unsigned char *levels = hostile_data(p, LAPLACIAN_TAG_LEVELS);
   for (uint32_t field = 0; field < 4; field++)
     for (size_t i = 0; i < sizeof wild / sizeof *wild; i++) {
-      const btf_status status = (memcpy(head + 4 * field, &wild[i], 4), try_load(ctx, model, list));
-      const bool known = field < 3 && wild[i] < 3, same = memcmp(head, saved, sizeof saved) == 0;
+      const bool known = field < 3 && wild[i] < 3, same = memcmp(head + 4 * field, &wild[i], 4) == 0;
+      const btf_status status = hostile_change(p, head + 4 * field, &wild[i], 4);
       /* Another filter or mean reads the same tables in another way. */
       if (status != BTF_E_CORRUPT && !same && !(known && field != 2))
         fail_msg("field %u = %u loads", field, wild[i]);
-      memcpy(head, saved, sizeof saved);
     }
   for (uint32_t field = 0; field < 11; field++)
-    for (size_t i = 0; i < 3; i++) {
-      memcpy(head + 16 + 8 * field, &wrong[i], 8);
-      assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-      memcpy(head, saved, sizeof saved);
-    }
-  const double beyond[] = {0.5, 1e6, -3.0, 1e31};
-  for (size_t i = 0; i < 4; i++) {
-    memcpy(head + 16 + 24, &beyond[i], 8); /* alpha */
-    assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-    memcpy(head, saved, sizeof saved);
-  }
+    for (size_t i = 0; i < 3; i++)
+      assert_status(hostile_change(p, head + 16 + 8 * field, &wrong[i], 8), BTF_E_CORRUPT);
+  const double exponents[] = {0.5, 1e6, -3.0, 1e31};
+  for (size_t i = 0; i < 4; i++)
+    assert_status(hostile_change(p, head + 16 + 24, &exponents[i], 8), BTF_E_CORRUPT);
   for (uint32_t c = 0; c < 3; c++) {
-    memcpy(saved, levels, LAPLACIAN_LEVEL_BYTES);
     for (size_t i = 0; i < sizeof wild / sizeof *wild; i++) {
       if (memcmp(levels + 32 * c, &wild[i], 4) == 0) continue;
-      memcpy(levels + 32 * c, &wild[i], 4);
-      assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-      memcpy(levels, saved, LAPLACIAN_LEVEL_BYTES);
+      assert_status(hostile_change(p, levels + 32 * c, &wild[i], 4), BTF_E_CORRUPT);
     }
-    for (uint32_t n = 0; n < 3; n++) {
-      memcpy(levels + 32 * c + 8 + 8 * n, &wrong[n], 8);
-      assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-      memcpy(levels, saved, LAPLACIAN_LEVEL_BYTES);
-    }
+    for (uint32_t n = 0; n < 3; n++)
+      assert_status(hostile_change(p, levels + 32 * c + 8 + 8 * n, &wrong[n], 8), BTF_E_CORRUPT);
   }
-  unsigned char *scale = list->chunk[find_chunk(list, LAPLACIAN_TAG_SCALES)].data;
+  unsigned char *scale = hostile_data(p, LAPLACIAN_TAG_SCALES);
   for (size_t i = 0; i < 3; i++) {
     const float value = (float)wrong[i];
-    memcpy(saved, scale, 4);
-    memcpy(scale, &value, 4);
-    assert_status(try_load(ctx, model, list), BTF_E_CORRUPT);
-    memcpy(scale, saved, 4);
+    assert_status(hostile_change(p, scale, &value, 4), BTF_E_CORRUPT);
   }
 }
 
@@ -300,22 +166,13 @@ static void test_numbers(void **unused) {
   with_models(check_numbers);
 }
 
-/* Flipped bits anywhere: loads or is refused, and never reads or writes where it must not. */
-static void check_bits(btf_context *ctx, const btf_model *model, chunk_list *list) {
-  for (uint32_t turn = 0; turn < 600; turn++) {
-    const uint32_t i = turn % list->count;
-    const uint64_t at = (uint64_t)((double)test_random() * (double)list->chunk[i].size);
-    const unsigned char bit = (unsigned char)(1u << turn / 7 % 8);
-    list->chunk[i].data[at] ^= bit;
-    const btf_status status = try_load(ctx, model, list);
-    assert_true(status == BTF_OK || status == BTF_E_CORRUPT);
-    list->chunk[i].data[at] ^= bit;
-  }
+static void flip_bits(hostile_payload *p) {
+  hostile_bits(p, 600, 0);
 }
 
 static void test_bits(void **unused) {
   (void)unused;
-  with_models(check_bits);
+  with_models(flip_bits);
 }
 
 int main(void) {

@@ -52,13 +52,17 @@ static btf_status write_level(const btfi_laplacian_fitting *f, const btfi_laplac
   return BTF_OK;
 }
 
-btf_status btfi_laplacian_write(btfi_laplacian_fitting *f) {
+btfi_laplacian_head btfi_laplacian_stored_head(const btfi_laplacian_fitting *f) {
   btfi_laplacian_head head = f->head;
+  for (uint32_t c = 0; c < 3 && head.mean == LAPLACIAN_TABLE; c++) head.count[head.levels - 1][c]++;
+  return head;
+}
+
+btf_status btfi_laplacian_write(btfi_laplacian_fitting *f) {
+  const btfi_laplacian_head head = btfi_laplacian_stored_head(f);
   btfi_laplacian_layout layout;
   unsigned char bytes[LAPLACIAN_HEAD_BYTES];
   void *levels, *scales, *eigen;
-  if (head.mean == LAPLACIAN_TABLE)
-    for (uint32_t c = 0; c < 3; c++) head.count[head.levels - 1][c]++;
   if (!btfi_laplacian_layout_of(&head, &f->source.grid, f->source.lights, f->source.views, &layout))
     return f->host->fail(f->ctx, BTF_E_LIMIT, "laplacian: the tables would not fit 64 bits");
   btfi_laplacian_put_head(&head, bytes);
