@@ -151,6 +151,8 @@ LIBBTF_API const char *btf_context_isa(const btf_context *ctx);
 /** Bytes the context holds now, and the most it held; either pointer may be NULL. Threads: const. */
 LIBBTF_API void btf_context_memory(const btf_context *ctx, uint64_t *now, uint64_t *peak);
 
+/** A call in progress; the library's own. */
+typedef struct btf_running_job btf_running_job;
 /** How one long call behaves. NULL = defaults. */
 typedef struct btf_job {
   size_t struct_size;
@@ -160,9 +162,10 @@ typedef struct btf_job {
   void *user;
   uint64_t max_working_set; /**< bytes a fit may hold beside its result; 0 = 1 GiB */
   uint64_t seed;            /**< seed of every random choice; the same seed gives the same result */
+  btf_running_job *running; /**< NULL, or BTF_E_INVALID_ARG; set only in the job that a codec is handed (btf_plugin.h) */
 } btf_job;
 #define BTF_JOB_INIT                                                                                         \
-  { sizeof(btf_job), NULL, NULL, 0, 0 }
+  { sizeof(btf_job), NULL, NULL, 0, 0, NULL }
 
 #ifdef __cplusplus
 }
