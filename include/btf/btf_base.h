@@ -128,7 +128,7 @@ typedef struct btf_context_desc {
   void *log_user;
   btf_parallel_fn parallel; /**< the host's thread pool; NULL = one built in, started on first use */
   void *parallel_user;
-  uint32_t max_threads; /**< most threads at once, up to 1024; 0 = number of processors; also bounds `thread` of tasks */
+  uint32_t max_threads; /**< most threads at once, up to 1024; 0 = number of processors the process may use; also bounds `thread` of tasks */
   uint32_t flags;       /**< must be 0 */
   const char *isa;      /**< caps the vector instructions: "scalar", "avx2", "avx512", "neon"; NULL = the best */
 } btf_context_desc;
@@ -147,6 +147,9 @@ LIBBTF_API void btf_context_release(btf_context *ctx);
 
 /** Instruction set the context's kernels use: "scalar", "avx2", "avx512" or "neon". Threads: const. */
 LIBBTF_API const char *btf_context_isa(const btf_context *ctx);
+
+/** Most threads the context works with at once: max_threads of its description, or what 0 stood for. Threads: const. */
+LIBBTF_API uint32_t btf_context_threads(const btf_context *ctx);
 
 /** Bytes the context holds now, and the most it held; either pointer may be NULL. Threads: const. */
 LIBBTF_API void btf_context_memory(const btf_context *ctx, uint64_t *now, uint64_t *peak);
