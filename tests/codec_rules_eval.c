@@ -172,7 +172,7 @@ static void evaluation_allocates_nothing(const codec_case *row) {
     btf_model_eval_n(model, &b.batch, BTF_VALUE_BRDF, b.out);
     for (uint32_t i = 0; i < RULE_QUERIES; i++) {
       btf_query q = codec_case_query(i);
-      const float xi[2] = {0.3f, 0.6f};
+      const float xi[3] = {0.3f, 0.6f, 0.9f};
       float f[RULE_CHANNELS], light[3];
       q.flags = flags;
       btf_model_eval(model, &q, f);

@@ -83,7 +83,7 @@ AT(btf_model_shape, reserved, 36);
 
 GROWABLE(btf_limits, max_channels, 40, 40);
 GROWABLE(btf_context_desc, isa, 72, 72);
-GROWABLE(btf_job, seed, 40, 40);
+GROWABLE(btf_job, seed, 40, 48);
 GROWABLE(btf_dataset_desc, view_lights, 184, 184);
 GROWABLE(btf_io, name, 64, 64);
 GROWABLE(btf_chunk_info, method, 64, 64);
@@ -95,11 +95,13 @@ GROWABLE(btf_svd_result, residual, 56, 64);
 GROWABLE(btf_statistics, peak, 32, 32);
 GROWABLE(btf_codec_vtbl, texel, 120, 128);
 GROWABLE(btf_eval_cost, flops, 40, 40);
-GROWABLE(btf_plugin_info, reserved, 40, 40);
+GROWABLE(btf_plugin_info, host_size_needed, 40, 40);
 GROWABLE(btf_host, mip_filter, 224, 288);
 
 AT(btf_codec_vtbl, abi, 4);
 AT(btf_plugin_info, abi, 4);
+AT(btf_plugin_info, host_size_needed, 36);
+AT(btf_job, running, 40);
 AT(btf_host, abi, 4);
 
 #endif

@@ -1,16 +1,39 @@
 /* SPDX-License-Identifier: MIT */
 /*
  * Eight threads load, evaluate, describe and retain one model of every kind at once, each with its own
- * queries, and get the bits that one thread gets; evaluation allocates nothing. Meant for ThreadSanitizer,
- * and true without it.
+ * queries, and get the bits that one thread gets; evaluation allocates and locks nothing, by the context nor
+ * behind its back: the C library's functions for it are wrapped. Meant for ThreadSanitizer, and true without
+ * it.
  */
 #include "btf_test.h"
 
 #include <pthread.h>
 
+#include <stdatomic.h>
+
 #include "codec_cases.h"
+#include "copy_codec.h"
 
 enum { CHANNELS = 4, THREADS = 8, QUERIES = 400 };
+
+/* ---- what evaluation must not call ---- */
+
+static _Thread_local int evaluating; /* this thread is inside btf_model_eval or its kin */
+static atomic_long taken;            /* calls from there */
+
+#define WRAP(result, name, parameters, arguments)                                                            \
+  result __real_##name parameters;                                                                           \
+  result __wrap_##name parameters;                                                                           \
+  result __wrap_##name parameters {                                                                          \
+    if (evaluating) atomic_fetch_add(&taken, 1);                                                             \
+    return __real_##name arguments;                                                                          \
+  }
+WRAP(void *, malloc, (size_t size), (size))
+WRAP(void *, calloc, (size_t count, size_t size), (count, size))
+WRAP(void *, realloc, (void *block, size_t size), (block, size))
+WRAP(void *, aligned_alloc, (size_t align, size_t size), (align, size))
+WRAP(int, posix_memalign, (void **block, size_t align, size_t size), (block, align, size))
+WRAP(int, pthread_mutex_lock, (pthread_mutex_t * mutex), (mutex))
 
 /* The model of a row, or for NULL the data set as it stands. */
 static btf_model *make_model(btf_context *ctx, const codec_case *row) {
@@ -66,7 +89,9 @@ static void *evaluate(void *user) {
   btf_model_describe(mine, &info);
   for (uint32_t i = 0; i < count; i++) {
     const btf_query q = query_number(e->first + i);
+    evaluating = 1;
     btf_model_eval(mine, &q, e->single[i]);
+    evaluating = 0;
     for (int k = 0; k < 3; k++) {
       columns[k][i] = q.light[k];
       columns[3 + k][i] = q.view[k];
@@ -83,7 +108,9 @@ static void *evaluate(void *user) {
   batch.uv[0] = columns[6];
   batch.uv[1] = columns[7];
   batch.lod = columns[8];
+  evaluating = 1;
   btf_model_eval_n(mine, &batch, BTF_VALUE_BRDF, out);
+  evaluating = 0;
   btf_model_release(mine);
   free(columns);
   return NULL;
@@ -121,11 +148,13 @@ static void check_model(btf_context *ctx, test_memory *memory, const codec_case 
   btf_file *file;
   run_threads(model, NULL);
   assert_int_equal(memory->total_allocations, before);
+  assert_int_equal(atomic_load(&taken), 0);
   if (row != NULL) {
     assert_ok(btf_model_save(model, test_path("threads.btfz"), 0, NULL, NULL));
     assert_ok(btf_file_open_path(ctx, test_path("threads.btfz"), 0, &file));
     run_threads(model, file);
     btf_file_close(file);
+    assert_int_equal(atomic_load(&taken), 0);
   }
   btf_model_release(model);
 }
@@ -139,6 +168,50 @@ static void eight_threads(void **state) {
     const btf_codec *codec = row != NULL ? btf_codec_find(ctx, row->codec) : NULL;
     if (row == NULL || (codec != NULL && (btf_codec_caps(codec) & BTF_CAP_FIT) != 0))
       check_model(ctx, &memory, row);
+    test_context_done(ctx, &memory);
+  }
+}
+
+/* ---- codecs that break the rule are noticed ---- */
+
+static int way_taken;
+static pthread_mutex_t a_lock = PTHREAD_MUTEX_INITIALIZER;
+
+static void eval_that_takes(const void *state, const btf_query *query, float *out) {
+  void *volatile block = NULL; /* volatile, so that no compiler takes the pair out */
+  void *aligned = NULL;
+  if (way_taken == 0) block = malloc(24);
+  if (way_taken == 1) block = calloc(3, 8);
+  if (way_taken == 2) block = realloc(block, 24);
+  if (way_taken == 3) block = aligned_alloc(64, 64);
+  if (way_taken == 4 && posix_memalign(&aligned, 64, 64) == 0) block = aligned;
+  if (way_taken == 5 && pthread_mutex_lock(&a_lock) == 0) pthread_mutex_unlock(&a_lock);
+  free(block);
+  copy_codec.eval(state, query, out);
+}
+
+static void what_evaluation_takes_is_counted(void **state) {
+  (void)state;
+  for (way_taken = 0; way_taken < 7; way_taken++) {
+    test_memory memory;
+    btf_context *ctx = test_context(&memory);
+    btf_codec_vtbl codec = copy_codec_single;
+    btf_dataset *dataset = copy_codec_dataset(ctx, 3, 2, 1, BTF_QUANTITY_BRDF);
+    static evaluation e;
+    codec.id = "org.libbtf.takes";
+    codec.eval = eval_that_takes;
+    memset(&e, 0, sizeof e);
+    assert_ok(btf_context_register(ctx, &codec));
+    assert_ok(btf_model_fit(dataset, btf_codec_find(ctx, codec.id), NULL, NULL, &e.model));
+    evaluate(&e);
+    /* Once for each query alone and once in the batch; those below the horizon do not reach the codec. */
+    if (way_taken < 6)
+      assert_true(atomic_load(&taken) >= QUERIES);
+    else
+      assert_int_equal(atomic_load(&taken), 0);
+    atomic_store(&taken, 0);
+    btf_model_release(e.model);
+    btf_dataset_release(dataset);
     test_context_done(ctx, &memory);
   }
 }
@@ -173,6 +246,7 @@ static void objects_of_one_context(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
+      cmocka_unit_test(what_evaluation_takes_is_counted),
       cmocka_unit_test(eight_threads),
       cmocka_unit_test(objects_of_one_context),
   };

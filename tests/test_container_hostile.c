@@ -316,7 +316,7 @@ static void direction_sets(void **state) {
     const float wrong[][3] = {{0.6f, 0.0f, -0.8f},
                               {0.6f, 0.0f, 0.7f},
                               {NAN, 0.0f, 1.0f},
-                              {xyz[3], xyz[4], xyz[5]},
+                              {xyz[3] + 1e-5f, xyz[4], xyz[5]}, /* too close to the second */
                               {0.0f, 0.0f, INFINITY}};
     for (size_t i = 0; i < sizeof wrong / sizeof *wrong; i++) {
       memcpy(f.im.bytes + at, wrong[i], sizeof wrong[i]);
@@ -324,6 +324,9 @@ static void direction_sets(void **state) {
       expect(&f, BTF_E_CORRUPT, "chunk DIRS 0 at offset 128");
     }
   }
+  memcpy(f.im.bytes + at, xyz + 3, 3 * sizeof *xyz); /* the second again */
+  image_repair_chunk(&f.im, dirs);
+  expect(&f, BTF_OK, NULL);
   memcpy(f.im.bytes + at, xyz, sizeof xyz);
   image_replace_chunk(&f.im, dirs, xyz, 70, 0, 70);
   expect(&f, BTF_E_CORRUPT, "whole number of directions");

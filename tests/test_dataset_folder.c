@@ -106,7 +106,7 @@ static const manifest_fault manifest_faults[] = {
     {"\"views\": [[", "\"views\": [[0, 0, \"1\"], [", BTF_E_CORRUPT,
      "direction 0 is not an array of three numbers"},
     {"\"views\": [[", "\"views\": [7, [", BTF_E_CORRUPT, "direction 0 is not an array of three numbers"},
-    {"\"views\": [[", "\"views\": [[0, 0, 1], [0, 0, 1], [", BTF_E_CORRUPT, "\"views\": "},
+    {"\"views\": [[", "\"views\": [[0, 0, 1], [0.00001, 0, 1], [", BTF_E_CORRUPT, "\"views\": "},
     {"\"views\": [[", "\"aims\": [[", BTF_E_CORRUPT, "\"views\" is missing"},
     {"\"views\": ", "\"views\": [], \"aims\": ", BTF_E_CORRUPT, "\"views\" is empty"},
     {"\"views\": ", "\"views\": {}, \"aims\": ", BTF_E_CORRUPT, "\"views\" has the wrong type"},
@@ -164,6 +164,34 @@ static void unknown_keys_are_ignored_and_known_ones_kept(void **state) {
   assert_int_equal(got.flags, BTF_DATASET_CONCURRENT_READ);
   assert_int_equal(btf_dirset_count(got.views), 3);
   assert_int_equal(btf_dirset_count(got.lights), 4);
+  btf_dataset_release(ds);
+  test_cube_free(&cube);
+  test_context_done(ctx, &memory);
+}
+
+/* A light that was measured twice: both measurements are there to be read. */
+static void equal_directions_are_taken(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  test_cube cube;
+  test_cube_make(ctx, &cube, BTF_SAMPLE_F32, 3, 4, 2, 2, 1, 1);
+  const char *folder = test_path("repeated.btfd");
+  float lights[12];
+  memcpy(lights, btf_dirset_directions(cube.light_set), sizeof lights);
+  memcpy(lights + 9, lights + 3, 12); /* the fourth is the second again */
+  btf_dirset_release(cube.light_set);
+  assert_ok(btf_dirset_create(ctx, lights, 4, &cube.light_set));
+  test_cube_write_folder(&cube, BTF_ORDER_VLYXC, folder, NULL, NULL);
+  btf_dataset *ds;
+  assert_ok(btf_dataset_open(ctx, folder, &ds));
+  for (uint32_t l = 0; l < 4; ++l) {
+    const btf_block one = {2, 1, l, 1, 1, 1, 1, 1};
+    const btf_strides strides = {4, 4, 4, 4, 4};
+    float value;
+    assert_ok(btf_dataset_read(ds, &one, &value, &strides));
+    assert_true(value == test_cube_value(&cube, 2, l, 1, 1, 0));
+  }
   btf_dataset_release(ds);
   test_cube_free(&cube);
   test_context_done(ctx, &memory);
@@ -767,6 +795,7 @@ int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(faults_of_manifests_are_named),
       cmocka_unit_test(unknown_keys_are_ignored_and_known_ones_kept),
+      cmocka_unit_test(equal_directions_are_taken),
       cmocka_unit_test(samples_of_the_wrong_size_are_refused),
       cmocka_unit_test(what_is_no_data_set_is_told_apart),
       cmocka_unit_test(limits_hold_for_manifests),

@@ -71,6 +71,8 @@ static void products(void **state) {
   assert_ok(btfi_host()->gemm(ctx, 0, 0, 3, 3, 1.0f, NULL, 3, NULL, 3, 0.0f, NULL, 3));
   assert_status(btfi_host()->gemm(ctx, 0, (uint64_t)1 << 31, 3, 3, 1.0f, NULL, 3, NULL, 3, 0.0f, NULL, 3),
                 BTF_E_LIMIT);
+  assert_status(btfi_host()->gemm(ctx, 4, 0, 3, 3, 1.0f, NULL, 3, NULL, 3, 0.0f, NULL, 3), BTF_E_INVALID_ARG);
+  assert_message_has("flags 0x4");
   test_context_done(ctx, &memory);
 }
 

@@ -92,7 +92,7 @@ static void bad_sets_are_refused(void **state) {
                 {5, {0.0f, INFINITY, 1.0f}, "direction 5: "},
                 {5, {0.0f, 0.0f, 0.0f}, "direction 5: length 0"},
                 {140, {0.00009f, 0.0f, 1.0f}, "directions 0 and 140: "},
-                {1, {0.0f, 0.0f, 1.0f}, "directions 0 and 1: "}};
+                {1, {0.00001f, 0.0f, 1.0f}, "directions 0 and 1: "}};
   for (size_t i = 0; i < sizeof faults / sizeof *faults; i++) {
     memcpy(d, btf_dirset_directions(set), sizeof d);
     memcpy(d[faults[i].at], faults[i].value, sizeof d[0]);
@@ -121,6 +121,67 @@ static void bad_sets_are_refused(void **state) {
   assert_status(btf_dirset_create(ctx, apart[0], 65537, &fine), BTF_E_LIMIT); /* looks at the count alone */
   assert_message_has("65536");
   btf_dirset_release(set);
+  test_context_done(ctx, &memory);
+}
+
+/* With repeats strewn in, a set gives the triangles, weights and nearest samples of the set without them,
+ * under the number of the first of each direction. */
+static void check_with_repeats(const btf_dirset *set, const char *name) {
+  const uint32_t n = btf_dirset_count(set);
+  const float *given = btf_dirset_directions(set);
+  float(*d)[3] = malloc(3 * (size_t)n * sizeof *d);
+  uint32_t *first = malloc(n * sizeof *first), count = 0, plain_triangles, triangles;
+  btf_dirset *repeated;
+  for (uint32_t i = 0; i < n; i++) {
+    first[i] = count;
+    memcpy(d[count++], given + 3 * (size_t)i, sizeof *d);
+    if (i % 3 == 0) memcpy(d[count++], given + 3 * (size_t)(i / 2), sizeof *d);
+    if (i % 7 == 0) memcpy(d[count++], given, sizeof *d);
+  }
+  assert_ok(btf_dirset_create(btfi_dirset_context(set), d[0], count, &repeated));
+  assert_int_equal(btf_dirset_count(repeated), count);
+  assert_memory_equal(btf_dirset_directions(repeated), d[0], count * sizeof *d);
+  const uint32_t *expected = btf_dirset_triangles(set, &plain_triangles),
+                 *got = btf_dirset_triangles(repeated, &triangles);
+  assert_int_equal(triangles, plain_triangles);
+  for (uint32_t i = 0; i < 3 * triangles; i++) assert_int_equal(got[i], first[expected[i]]);
+  for (int i = 0; i < 1000; i++) {
+    float q[3];
+    btf_interp plain, w, batched;
+    random_direction(q);
+    if (i < 2 * (int)n) memcpy(q, given + 3 * (size_t)(i % (int)n), sizeof q);
+    btf_dirset_locate(set, q, &plain);
+    btf_dirset_locate(repeated, q, &w);
+    btf_dirset_locate_n(repeated, 1, &q[0], &q[1], &q[2], &batched);
+    assert_memory_equal(w.weight, plain.weight, sizeof w.weight);
+    assert_memory_equal(&w, &batched, sizeof w);
+    for (int k = 0; k < 3; k++)
+      if (w.index[k] != first[plain.index[k]]) fail_msg("%s: another sample has the weight", name);
+    assert_int_equal(btf_dirset_nearest(repeated, q), first[btf_dirset_nearest(set, q)]);
+  }
+  btf_dirset_release(repeated);
+  free(first);
+  free(d);
+}
+
+static void repeats_are_samples_without_a_place(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  btf_dirset *set;
+  for_each_set(check_with_repeats);
+  /* Zeros of both signs are one direction. */
+  assert_ok(btf_dirset_create(ctx, (const float[6]){-0.0f, 0.0f, 1.0f, 0.0f, -0.0f, 1.0f}, 2, &set));
+  assert_int_equal(btf_dirset_nearest(set, (const float[3]){0.3f, 0.0f, 0.9f}), 0);
+  btf_dirset_release(set);
+  /* As many as there may be, all alike: their pairs would take minutes. */
+  float *same = malloc(3 * 65536 * sizeof *same);
+  for (uint32_t i = 0; i < 65536; i++) memcpy(same + 3 * (size_t)i, (const float[3]){0.6f, 0.0f, 0.8f}, 12);
+  assert_ok(btf_dirset_create(ctx, same, 65536, &set));
+  assert_int_equal(btf_dirset_count(set), 65536);
+  assert_int_equal(btf_dirset_nearest(set, (const float[3]){0.0f, 0.3f, 0.9f}), 0);
+  btf_dirset_release(set);
+  free(same);
   test_context_done(ctx, &memory);
 }
 
@@ -490,6 +551,7 @@ int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(built_in_sets),
       cmocka_unit_test(bad_sets_are_refused),
+      cmocka_unit_test(repeats_are_samples_without_a_place),
       cmocka_unit_test(directions_keep_their_floats),
       cmocka_unit_test(locate_is_total),
       cmocka_unit_test(sets_on_a_line),

@@ -338,7 +338,7 @@ static void nothing_infinite_leaves(void **state) {
   const btf_query query = {{0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}, {0.5f, 0.5f}, 0.0f, 0};
   const btf_query grazing = {{1.0f, 0.0f, 0.01f}, {0.0f, 0.0f, 1.0f}, {0.5f, 0.5f}, 0.0f, 0};
   float out[3], light[3];
-  const float xi[2] = {0.25f, 0.5f};
+  const float xi[3] = {0.25f, 0.5f, 0.5f};
   (void)state;
   wild.id = "org.libbtf.wild";
   wild.eval = wild_eval;
@@ -348,8 +348,10 @@ static void nothing_infinite_leaves(void **state) {
   assert_true(out[0] == 0.0f && out[1] == 0.0f && out[2] == -1e38f);
   btf_model_eval(model, &grazing, out); /* -1e38 / 0.02 overflows */
   assert_true(out[0] == 0.0f && out[1] == 0.0f && out[2] == 0.0f);
-  btf_model_texel(model, 0, 0, 0, 0, 0, out);
+  assert_int_equal(btf_model_texel(model, 0, 0, 0, 0, 0, out), 2);
   assert_true(out[0] == 0.0f && out[1] == 0.0f && out[2] == -1e38f);
+  assert_int_equal(btf_model_texel(model, 1, 0, 0, 0, 0, out),
+                   0); /* beyond the last level: nothing is decoded */
   assert_true(btf_model_sample(model, &query, xi, light, out) > 0.0f);
   assert_true(out[0] == 0.0f && out[1] == 0.0f && isfinite(out[2]));
   btf_model_release(model);
@@ -418,6 +420,123 @@ static void mistyped_option_ends_the_fit(void **state) {
     }
 }
 
+/* ---- a codec that narrows its budget in a copy of the job ---- */
+
+static void ignore_abrdf(void *user, uint32_t level, uint32_t x, uint32_t y, const float *abrdf,
+                         uint32_t thread) {
+  (void)user, (void)level, (void)x, (void)y, (void)abrdf, (void)thread;
+}
+
+static int32_t never_called(void *user, double fraction, const char *stage) {
+  (void)user, (void)fraction;
+  fail_msg("the copy's own progress was called at %s", stage);
+  return 1;
+}
+
+/* The copy is a heap block of just that size, so that AddressSanitizer sees a step beyond it. */
+static btf_status fit_in_part(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
+                              const btf_options *options, const btf_job *job, btf_chunk_writer *payload) {
+  const btf_job made = BTF_JOB_INIT;
+  btf_svd_desc triplets = {.struct_size = sizeof triplets, .rank = 2};
+  btf_svd_result result = {.struct_size = sizeof result};
+  btf_statistics statistics = {.struct_size = sizeof statistics};
+  btf_job *part = malloc(sizeof *part);
+  btf_status status;
+  assert_non_null(part);
+  *part = *job;
+  part->max_working_set /= 2;
+  part->progress = never_called;
+  part->user = NULL;
+  status = host->progress(part, 0.1, "a part");
+  if (status == BTF_OK)
+    status = host->measure(ctx, ds, part->max_working_set, NULL, &statistics, part, 0.1, 0.3);
+  if (status == BTF_OK)
+    status =
+        host->visit_abrdfs(ctx, ds, 0, part->max_working_set, ignore_abrdf, NULL, part, 0.3, 0.5, "visit");
+  if (status == BTF_OK) {
+    triplets.max_working_set = part->max_working_set;
+    status = host->svd_dataset(ctx, ds, NULL, &triplets, part, 0.5, 0.8, &result);
+    host->svd_free(ctx, &result);
+    if (status == BTF_E_UNSUPPORTED) status = BTF_OK; /* a build that evaluates only */
+  }
+  if (status == BTF_E_CANCELLED) assert_status(host->progress(job, 1.0, "end"), BTF_E_CANCELLED);
+  assert_status(host->progress(&made, 1.0, "end"), BTF_E_INVALID_ARG);
+  assert_message_has("`fit` was given");
+  free(part);
+  return status == BTF_OK ? copy_codec.fit(host, ctx, ds, options, job, payload) : status;
+}
+
+typedef struct job_reports {
+  int calls, cancel_at;
+  char stages[512];
+} job_reports;
+
+static int32_t note_report(void *user, double fraction, const char *stage) {
+  job_reports *r = user;
+  (void)fraction;
+  snprintf(r->stages + strlen(r->stages), sizeof r->stages - strlen(r->stages), "%s;", stage);
+  return ++r->calls == r->cancel_at;
+}
+
+static void job_may_be_copied(void **state) {
+  btf_codec_vtbl codec = copy_codec;
+  (void)state;
+  codec.id = "org.libbtf.part";
+  codec.fit = fit_in_part;
+  for (int cancel_at = 0; cancel_at < 3; cancel_at++) {
+    test_memory memory;
+    btf_context *ctx = test_context(&memory);
+    job_reports reports = {.cancel_at = cancel_at};
+    btf_job job = BTF_JOB_INIT;
+    btf_model *model;
+    btf_dataset *ds = copy_codec_dataset(ctx, 4, 3, 1, BTF_QUANTITY_BRDF);
+    assert_ok(btf_context_register(ctx, &codec));
+    job.progress = note_report;
+    job.user = &reports;
+    job.max_working_set = 64 << 20;
+    assert_status(btf_model_fit(ds, btf_codec_find(ctx, codec.id), NULL, &job, &model),
+                  cancel_at ? BTF_E_CANCELLED : BTF_OK);
+    assert_non_null(strstr(reports.stages, "a part;"));
+    if (cancel_at)
+      assert_int_equal(reports.calls, cancel_at);
+    else
+      assert_non_null(strstr(reports.stages, "visit;"));
+    btf_model_release(model);
+    job.running = (btf_running_job *)(void *)&reports;
+    assert_status(btf_model_fit(ds, btf_codec_find(ctx, codec.id), NULL, &job, &model), BTF_E_INVALID_ARG);
+    assert_message_has("running is set");
+    assert_null(model);
+    btf_dataset_release(ds);
+    test_context_done(ctx, &memory);
+  }
+}
+
+/* Single and batch alike: a flag of a later version is no value of this one. */
+static void unknown_flags_evaluate_to_zero(void **state) {
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  btf_model *model = fit(ctx, &copy_codec, 3, BTF_QUANTITY_BRDF, "plain");
+  float x = 0.0f, y = 0.0f, z = 1.0f, half = 0.5f, value[3], batched[3], light[3];
+  float *const out[3] = {&batched[0], &batched[1], &batched[2]};
+  const float xi[3] = {0.25f, 0.5f, 0.5f};
+  (void)state;
+  for (uint32_t bit = 0; bit < 32; bit++) {
+    const btf_query q = {{x, y, z}, {x, y, z}, {half, half}, 0.0f, UINT32_C(1) << bit};
+    const int known = bit == 0; /* BTF_QUERY_NEAREST */
+    btf_batch batch = {sizeof batch, 1, {&x, &y, &z}, {&x, &y, &z}, {&half, &half}, NULL, q.flags, 0};
+    btf_model_eval(model, &q, value);
+    btf_model_eval_n(model, &batch, BTF_VALUE_BRDF, out);
+    for (int c = 0; c < 3; c++) {
+      assert_true((value[c] != 0.0f) == known);
+      assert_memory_equal(&value[c], &batched[c], sizeof(float));
+    }
+    assert_true((btf_model_pdf(model, &q) > 0.0f) == known);
+    assert_true((btf_model_sample(model, &q, xi, light, value) > 0.0f) == known);
+  }
+  btf_model_release(model);
+  test_context_done(ctx, &memory);
+}
+
 static void texel_and_level(void **state) {
   test_memory memory;
   btf_context *ctx = test_context(&memory);
@@ -470,11 +589,12 @@ static void sampling(void **state) {
   btf_query query = {{0.0f, 0.0f, 1.0f}, {0.6f, 0.0f, 0.8f}, {0.3f, 0.6f}, 0.0f, 0};
   double mean_z = 0.0, inverse = 0.0;
   float light[3], weight[3], f[3];
-  const float wrong[2] = {1.0f, 0.5f}, nan_xi[2] = {0.5f, NAN};
+  const float wrong[3] = {1.0f, 0.5f, 0.5f}, nan_xi[3] = {0.5f, NAN, 0.5f},
+              wrong_lobe[3] = {0.5f, 0.5f, 1.0f};
   enum { SIDE = 64 };
   (void)state;
   for (int i = 0; i < SIDE * SIDE; i++) {
-    const float xi[2] = {((float)(i % SIDE) + 0.5f) / SIDE, ((float)(i / SIDE) + 0.5f) / SIDE};
+    const float xi[3] = {((float)(i % SIDE) + 0.5f) / SIDE, ((float)(i / SIDE) + 0.5f) / SIDE, 0.5f};
     const float pdf = btf_model_sample(model, &query, xi, light, weight);
     btf_query drawn = query;
     assert_near(light[0] * light[0] + light[1] * light[1] + light[2] * light[2], 1.0, 1e-6);
@@ -493,8 +613,9 @@ static void sampling(void **state) {
   assert_near(inverse, pi, 1e-5);
   assert_true(btf_model_sample(model, &query, wrong, light, weight) == 0.0f && weight[0] == 0.0f);
   assert_true(btf_model_sample(model, &query, nan_xi, light, weight) == 0.0f && weight[2] == 0.0f);
+  assert_true(btf_model_sample(model, &query, wrong_lobe, light, weight) == 0.0f && weight[1] == 0.0f);
   query.view[2] = -0.8f;
-  assert_true(btf_model_sample(model, &query, (const float[2]){0.1f, 0.2f}, light, weight) == 0.0f);
+  assert_true(btf_model_sample(model, &query, (const float[3]){0.1f, 0.2f, 0.3f}, light, weight) == 0.0f);
   assert_true(btf_model_pdf(model, &query) == 0.0f);
   btf_model_release(model);
   test_context_done(ctx, &memory);
@@ -504,7 +625,7 @@ static void evaluation_allocates_nothing(void **state) {
   test_memory memory;
   btf_context *ctx = test_context(&memory);
   btf_model *model = fit(ctx, &copy_codec_single, 3, BTF_QUANTITY_BRDF_COS, "packed");
-  const float xi[2] = {0.3f, 0.4f}, du[2] = {0.1f, 0.0f};
+  const float xi[3] = {0.3f, 0.4f, 0.5f}, du[2] = {0.1f, 0.0f};
   long before;
   float light[3], out[3];
   (void)state;
@@ -619,6 +740,8 @@ int main(void) {
       cmocka_unit_test(unusable_batches),
       cmocka_unit_test(nothing_infinite_leaves),
       cmocka_unit_test(mistyped_option_ends_the_fit),
+      cmocka_unit_test(job_may_be_copied),
+      cmocka_unit_test(unknown_flags_evaluate_to_zero),
       cmocka_unit_test(texel_and_level),
       cmocka_unit_test(sampling),
       cmocka_unit_test(evaluation_allocates_nothing),

@@ -109,6 +109,7 @@ static void parameters(void **state) {
   TRY(one.maximum = INFINITY, BTF_OK, "");
   TRY(one.type = BTF_PARAM_FLOAT; one.default_text = "2.5e0", BTF_OK, "");
   TRY(one.choices = choices, BTF_E_PLUGIN, "only a choice");
+  TRY(one.flags = 4, BTF_E_PLUGIN, "size: flags is 0x4");
   TRY(one.struct_size = 8, BTF_E_ABI, "btf_param_desc");
   TRY(two.default_text = "c", BTF_E_PLUGIN, "a, b");
   TRY(two.choices = NULL, BTF_E_PLUGIN, "at least one");
@@ -116,6 +117,22 @@ static void parameters(void **state) {
   TRY(two.choices = repeated, BTF_E_PLUGIN, "\"a\" occurs twice");
   TRY(two.type = BTF_PARAM_BOOL; two.choices = NULL, BTF_E_PLUGIN, "neither true nor false");
 #undef TRY
+}
+
+/* A codec of the first version hands svd a shorter result, in a build without fitting too. */
+static void results_of_old_codecs_are_not_overrun(void **state) {
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  const size_t first_size = offsetof(btf_svd_result, least_working_set);
+  btf_svd_result result;
+  (void)state;
+  memset(&result, 0x5a, sizeof result);
+  result.struct_size = first_size;
+  assert_true(btfi_host()->svd(ctx, NULL, NULL, 0.0, 1.0, &result) != BTF_OK);
+  assert_int_equal(result.struct_size, first_size);
+  assert_null(result.sigma);
+  assert_int_equal(result.least_working_set, UINT64_C(0x5a5a5a5a5a5a5a5a));
+  test_context_done(ctx, &memory);
 }
 
 static void codecs_describe_themselves(void **state) {
@@ -328,6 +345,7 @@ static void refused_modules(void **state) {
     const char *module, *part;
   } cases[] = {
       {"wrong_abi", "built for ABI 2; this library has ABI 1"},
+      {"newer_host", "needs a newer libbtf"},
       {"codec_abi", "ABI 2"},
       {"no_entry", "btf_plugin_entry_1"},
       {"refuses", "refuses this library"},
@@ -413,6 +431,7 @@ int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(door),
       cmocka_unit_test(parameters),
+      cmocka_unit_test(results_of_old_codecs_are_not_overrun),
       cmocka_unit_test(codecs_describe_themselves),
       cmocka_unit_test(options),
       cmocka_unit_test(example_registered),

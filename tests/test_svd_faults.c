@@ -125,6 +125,9 @@ static void test_bad_arguments(void **state) {
   desc.rank = 0;
   assert_status(btfi_svd(ctx, &desc, NULL, 0, 1, &r), BTF_E_INVALID_ARG);
   desc = good;
+  desc.reserved = 1;
+  assert_status(btfi_svd(ctx, &desc, NULL, 0, 1, &r), BTF_E_INVALID_ARG);
+  desc = good;
   desc.layout = 2;
   assert_status(btfi_svd(ctx, &desc, NULL, 0, 1, &r), BTF_E_INVALID_ARG);
   desc = good;

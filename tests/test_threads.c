@@ -57,6 +57,7 @@ static void every_index_runs_exactly_once(void **state) {
     test_memory memory;
     btf_context *ctx = test_context_with(&memory, NULL, threads);
     assert_int_equal(btfi_thread_count(ctx), threads);
+    assert_int_equal(btf_context_threads(ctx), threads);
     for (int repeat = 0; repeat < 20; repeat++)
       for (size_t c = 0; c < sizeof counts / sizeof counts[0]; c++) {
         tally t;

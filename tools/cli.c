@@ -5,7 +5,6 @@
 #include <ctype.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "cli_session.h"
 
@@ -18,7 +17,7 @@ static const cli_option common_options[] = {
     {"help", 'h', NULL, "show this help", CLI_OPTION_UNRECORDED},
     CLI_OPTIONS_END};
 
-enum { help_column = 30, most_threads = 4096 };
+enum { help_column = 30, most_threads = 1024 /* what a context takes */ };
 
 /* ---- looking up ---- */
 
@@ -201,7 +200,7 @@ static int check_operands(const cli *c) {
 static int parse(cli *c, int argc, char **argv) {
   bool options_over = false;
   int status = EXIT_DONE;
-  int64_t threads;
+  int64_t threads = 0;
   for (int i = 0; i < argc && status == EXIT_DONE; i++) {
     const char *word = argv[i];
     if (options_over || word[0] != '-' || word[1] == '\0')
@@ -217,9 +216,6 @@ static int parse(cli *c, int argc, char **argv) {
   if (status != EXIT_DONE) return status;
   c->quiet = cli_has(c, "quiet");
   c->verbose = cli_has(c, "verbose");
-  threads = sysconf(_SC_NPROCESSORS_ONLN);
-  if (threads < 1) threads = 1;
-  if (threads > most_threads) threads = most_threads;
   status = cli_integer(c, "threads", 1, most_threads, &threads);
   if (status != EXIT_DONE) return status;
   c->threads = (uint32_t)threads;

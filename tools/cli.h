@@ -80,7 +80,7 @@ struct cli {
   int given_count;
   bool quiet, verbose;
   atomic_uint warnings; /* of the library so far */
-  uint32_t threads;     /* --threads; the number of processors unless given */
+  uint32_t threads;     /* --threads or 0; with a context, how many it works with */
   btf_context *context; /* made by cli_context */
 };
 

@@ -14,6 +14,7 @@
 #include <btf/btf_plugin.h>
 
 #include "plugin_path.h"
+#include "safe_text.h"
 
 #ifdef BTF_TOOL_OPENBLAS
 #include <cblas.h>
@@ -32,8 +33,7 @@ static void erase_bar(void) {
 static void print_line(const char *format, va_list arguments) {
   char line[2048];
   vsnprintf(line, sizeof line, format, arguments);
-  for (unsigned char *p = (unsigned char *)line; *p != '\0'; p++)
-    if (*p < 0x20 || *p == 0x7f) *p = '?';
+  safe_text_clean(line);
   erase_bar();
   fprintf(stderr, "btf: %s\n", line);
 }
@@ -180,14 +180,15 @@ static void draw_bar(double fraction, const char *stage) {
   if (stage == NULL) stage = "";
   if (!bar_is_drawn) bar_started = now;
   if (bar_is_drawn && strncmp(stage, bar_stage, sizeof bar_stage - 1) == 0 && now - bar_shown < 0.15) return;
-  snprintf(bar_stage, sizeof bar_stage, "%s", stage);
+  snprintf(bar_stage, sizeof bar_stage, "%s", stage); /* a module's own words */
   bar_shown = now;
   elapsed = now - bar_started;
   fraction = fraction > 0 ? (fraction < 1 ? fraction : 1) : 0;
   for (int i = 0; i < cells; i++) bar[i] = i < (int)(fraction * cells) ? '#' : '.';
   bar[cells] = '\0';
-  fprintf(stderr, "\r\033[K[%s] %3d %%  %d:%02d  %s", bar, (int)(100 * fraction), (int)(elapsed / 60),
-          (int)elapsed % 60, bar_stage);
+  fprintf(stderr, "\r\033[K[%s] %3d %%  %d:%02d  ", bar, (int)(100 * fraction), (int)(elapsed / 60),
+          (int)elapsed % 60);
+  safe_text_put(stderr, bar_stage);
   fflush(stderr);
   bar_is_drawn = 1;
 }
@@ -230,11 +231,12 @@ int cli_context(cli *c, btf_context **out) {
   desc.max_threads = c->threads;
   desc.log = on_log;
   desc.log_user = c;
+  status = btf_context_create(&desc, &c->context);
+  if (status != BTF_OK) return cli_fail_library(status);
+  c->threads = btf_context_threads(c->context);
 #ifdef BTF_TOOL_OPENBLAS
   openblas_set_num_threads((int)c->threads);
 #endif
-  status = btf_context_create(&desc, &c->context);
-  if (status != BTF_OK) return cli_fail_library(status);
   for (int i = 0; i < cli_count(c, "plugin"); i++) {
     const char *path = cli_value_at(c, "plugin", i);
     if (path[0] != '/') return cli_usage(c, "--plugin is \"%s\"; it takes an absolute path", path);

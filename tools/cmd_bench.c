@@ -13,6 +13,7 @@
 #include "input.h"
 #include "json_writer.h"
 #include "parallel.h"
+#include "safe_text.h"
 
 typedef struct eval_mode {
   const char *name;
@@ -180,9 +181,10 @@ static double random_rows_rate(const bench *b, int mode) {
 
 static void print_report(const cli *c, const bench *b) {
   const bench_bounds *k = &b->bounds;
-  printf("%s: %s, %" PRIu32 " x %" PRIu32 " texels, %" PRIu32 " lights, %" PRIu32 " views, %" PRIu32
+  safe_text_put(stdout, c->operands[0]);
+  printf(": %s, %" PRIu32 " x %" PRIu32 " texels, %" PRIu32 " lights, %" PRIu32 " views, %" PRIu32
          " channels, %.1f MiB resident\n",
-         c->operands[0], b->codec, b->model.width, b->model.height, btf_dirset_count(b->model.lights),
+         b->codec, b->model.width, b->model.height, btf_dirset_count(b->model.lights),
          btf_dirset_count(b->model.views), b->model.channels, (double)b->model.resident_bytes / 1048576);
   printf("machine, one core (%s; the library uses %s)\n", bench_bounds_isa(), btf_context_isa(c->context));
   printf("  multiply-add            %8.1f GFLOP/s\n", k->flops * 1e-9);

@@ -6,6 +6,7 @@
 
 #include "commands.h"
 #include "json_writer.h"
+#include "safe_text.h"
 
 static const struct {
   uint64_t bit;
@@ -39,8 +40,10 @@ static const char *type_word(uint32_t type) {
 /* "1 .. 1024", "at least 0", "a | b", "true | false". */
 static void print_range(const btf_param_desc *p, FILE *out) {
   if (p->type == BTF_PARAM_CHOICE) {
-    for (int i = 0; p->choices != NULL && p->choices[i] != NULL; i++)
-      fprintf(out, "%s%s", i > 0 ? " | " : "", p->choices[i]);
+    for (int i = 0; p->choices != NULL && p->choices[i] != NULL; i++) {
+      if (i > 0) fputs(" | ", out);
+      safe_text_put(out, p->choices[i]);
+    }
   } else if (p->type == BTF_PARAM_BOOL) {
     fputs("true | false", out);
   } else if (p->type == BTF_PARAM_INT || p->type == BTF_PARAM_FLOAT) {
@@ -52,7 +55,8 @@ static void print_range(const btf_param_desc *p, FILE *out) {
       fprintf(out, "at most %.10g", p->maximum);
     else
       fputs("any number", out);
-    if (p->unit != NULL && p->unit[0] != '\0') fprintf(out, " %s", p->unit);
+    if (p->unit != NULL && p->unit[0] != '\0') fputc(' ', out);
+    safe_text_put(out, p->unit);
   } else {
     fputs("text", out);
   }
@@ -61,7 +65,9 @@ static void print_range(const btf_param_desc *p, FILE *out) {
 static void print_codec(const btf_codec *codec) {
   const uint64_t caps = btf_codec_caps(codec);
   bool first = true;
-  printf("%s: %s\n  capabilities: ", btf_codec_id(codec), btf_codec_title(codec));
+  printf("%s: ", btf_codec_id(codec));
+  safe_text_put(stdout, btf_codec_title(codec));
+  fputs("\n  capabilities: ", stdout);
   for (int i = 0; i < capability_count; i++) {
     if (!(caps & capabilities[i].bit)) continue;
     printf("%s%s", first ? "" : ", ", capabilities[i].word);
@@ -75,8 +81,11 @@ static void print_codec(const btf_codec *codec) {
     printf("  -p %s=%s", p.name, type_word(p.type));
     fputs("  (", stdout);
     print_range(&p, stdout);
-    printf("; default %s)\n", p.default_text != NULL && p.default_text[0] != '\0' ? p.default_text : "none");
-    printf("      %s\n", p.summary != NULL ? p.summary : "");
+    fputs("; default ", stdout);
+    safe_text_put(stdout, p.default_text != NULL && p.default_text[0] != '\0' ? p.default_text : "none");
+    fputs(")\n      ", stdout);
+    safe_text_put(stdout, p.summary);
+    putchar('\n');
   }
 }
 

@@ -8,6 +8,7 @@
 #include "commands.h"
 #include "json_writer.h"
 #include "metrics.h"
+#include "safe_text.h"
 #include "sheet.h"
 
 typedef struct contestant {
@@ -38,7 +39,10 @@ static void print_result(const contestant *reference, const contestant *file) {
   const sample_source *s = &reference->source;
   const float *l = btf_dirset_directions(s->light_set) + 3 * (size_t)m->worst_light;
   const float *v = btf_dirset_directions(s->view_set) + 3 * (size_t)m->worst_view;
-  printf("%s: %s\n", file->in.path, file->codec);
+  safe_text_put(stdout, file->in.path);
+  fputs(": ", stdout);
+  safe_text_put(stdout, file->codec);
+  putchar('\n');
   printf("  values               %" PRIu64 ", %" PRIu64 " differ\n", m->values, m->different);
   printf("  peak                 %.9g (99.9th percentile of the reference)\n", m->peak);
   printf("  RMSE                 %.6g\n", m->rmse);

@@ -9,6 +9,7 @@
 #include "input.h"
 #include "json_writer.h"
 #include "output_file.h"
+#include "safe_text.h"
 
 /* A place that cannot be written is better found before hours of work. */
 static int try_output(const char *path) {
@@ -44,7 +45,8 @@ static void print_report(const cli *c, const char *path, const report *r) {
     json_close(&j, '}');
     json_end(&j);
   } else {
-    printf("%s: %" PRIu64 " bytes (%.2f MiB), ratio %.2f to raw %s, %.2f s\n", path, r->bytes,
+    safe_text_put(stdout, path);
+    printf(": %" PRIu64 " bytes (%.2f MiB), ratio %.2f to raw %s, %.2f s\n", r->bytes,
            (double)r->bytes / 1048576, ratio, r->sample_type, seconds);
   }
 }
@@ -133,7 +135,7 @@ static const cli_option options_table[] = {
     CLI_OPTION_OUTPUT("container file to write (.btfz)"),
     {"codec", 'c', "NAME", "the codec; btf codecs lists them", 0},
     {"param", 'p', "KEY=VALUE", "set a parameter of the codec; may be repeated", 0},
-    {"memory", 'm', "MIB", "working memory of the fit in MiB (default 1024)", CLI_OPTION_UNRECORDED},
+    {"memory", 'm', "MIB", "working memory of the fit in MiB (default 1024)", 0},
     {"seed", 0, "N", "seed of random choices (default 0)", 0},
     CLI_OPTION_JSON,
     CLI_OPTIONS_END};

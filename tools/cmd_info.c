@@ -8,6 +8,7 @@
 #include "commands.h"
 #include "input.h"
 #include "json_writer.h"
+#include "safe_text.h"
 
 enum { label_width = 15 };
 
@@ -22,20 +23,18 @@ static void fourcc(uint32_t code, char out[5]) {
 
 /* ---- text ---- */
 
+/* Names of metadata are the file's own words, and may be longer than the column. */
 static void label(const char *name) {
-  printf("  %-*s ", label_width, name);
-}
-
-/* Control characters of hostile files must not reach a terminal. */
-static void put_safely(const char *text) {
-  for (const unsigned char *p = (const unsigned char *)text; *p != '\0'; p++)
-    putchar(*p < 0x20 || *p == 0x7f ? '?' : *p);
+  int width;
+  fputs("  ", stdout);
+  width = safe_text_put(stdout, name);
+  printf("%*s ", width < label_width ? label_width - width : 0, "");
 }
 
 static void text_line(const char *name, const char *value) {
   if (value == NULL || value[0] == '\0') return;
   label(name);
-  put_safely(value);
+  safe_text_put(stdout, value);
   putchar('\n');
 }
 
@@ -66,7 +65,7 @@ static void channels_line(uint32_t count, const char *const *names) {
   printf("%" PRIu32, count);
   for (uint32_t i = 0; i < count && names != NULL && names[i] != NULL; i++) {
     fputs(i == 0 ? " (" : ", ", stdout);
-    put_safely(names[i]);
+    safe_text_put(stdout, names[i]);
     if (i + 1 == count) putchar(')');
   }
   putchar('\n');
@@ -118,7 +117,7 @@ static void chunks_text(const btf_file *file) {
 
 static void container_text(const cli *c, const input *in) {
   const uint32_t models = btf_file_model_count(in->file);
-  put_safely(in->path);
+  safe_text_put(stdout, in->path);
   printf(": container\n");
   size_line("on disk", in->bytes);
   for (uint32_t i = 0; i < btf_file_metadata_count(in->file); i++) {
@@ -138,7 +137,7 @@ static void container_text(const cli *c, const input *in) {
 static void dataset_text(const input *in) {
   btf_dataset_desc d = BTF_DATASET_DESC_INIT;
   btf_dataset_describe(in->dataset, &d);
-  put_safely(in->path);
+  safe_text_put(stdout, in->path);
   printf(": data set\n");
   size_line("on disk", in->bytes);
   label("texels");

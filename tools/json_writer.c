@@ -6,36 +6,24 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Length of the UTF-8 sequence at p, 0 if it is none. */
-static int sequence_length(const unsigned char *p) {
-  const int length = *p < 0x80                 ? 1
-                     : *p >= 0xc2 && *p < 0xe0 ? 2
-                     : *p >= 0xe0 && *p < 0xf0 ? 3
-                     : *p >= 0xf0 && *p < 0xf5 ? 4
-                                               : 0;
-  for (int i = 1; i < length; i++)
-    if ((p[i] & 0xc0) != 0x80) return 0;
-  /* Overlong forms, surrogates, and beyond U+10FFFF. */
-  if ((*p == 0xe0 && p[1] < 0xa0) || (*p == 0xed && p[1] > 0x9f) || (*p == 0xf0 && p[1] < 0x90) ||
-      (*p == 0xf4 && p[1] > 0x8f))
-    return 0;
-  return length;
-}
+#include "safe_text.h"
 
-/* Names of files may hold any bytes: those that are no UTF-8 become U+FFFD. */
+/* Names of files may hold any bytes: those that are no UTF-8 become U+FFFD. Controls are escaped, for whoever
+ * looks at the output in a terminal. */
 static void put_text(json_writer *j, const char *text) {
   fputc('"', j->out);
-  for (const unsigned char *p = (const unsigned char *)text; *p != '\0';) {
-    const int length = sequence_length(p);
-    if (*p == '"' || *p == '\\')
-      fprintf(j->out, "\\%c", *p);
-    else if (*p < 0x20 || *p == 0x7f)
-      fprintf(j->out, "\\u%04x", *p);
+  while (*text != '\0') {
+    uint32_t code = 0;
+    const int length = safe_text_character(text, &code);
+    if (*text == '"' || *text == '\\')
+      fprintf(j->out, "\\%c", *text);
     else if (length == 0)
       fputs("\\ufffd", j->out);
+    else if (safe_text_is_control(code)) /* all below U+10000 */
+      fprintf(j->out, "\\u%04" PRIx32, code);
     else
-      fwrite(p, 1, (size_t)length, j->out);
-    p += length > 0 ? length : 1;
+      fwrite(text, 1, (size_t)length, j->out);
+    text += length > 0 ? length : 1;
   }
   fputc('"', j->out);
 }

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 #include "sample_source.h"
 
+#include <math.h>
 #include <string.h>
 
 int sample_source_open(input *in, sample_source *out) {
@@ -15,6 +16,7 @@ int sample_source_open(input *in, sample_source *out) {
     out->width = d.width;
     out->height = d.height;
     out->channels = d.channels;
+    out->levels = 1;
     out->quantity = d.quantity;
     out->wrap = d.wrap;
     out->sample_type = d.sample_type;
@@ -29,12 +31,20 @@ int sample_source_open(input *in, sample_source *out) {
     out->width = m.width;
     out->height = m.height;
     out->channels = m.channels;
+    out->levels = m.levels;
     out->quantity = m.quantity;
     out->wrap = m.wrap;
   }
   out->lights = btf_dirset_count(out->light_set);
   out->views = btf_dirset_count(out->view_set);
   return EXIT_DONE;
+}
+
+void sample_source_set_level(sample_source *s, uint32_t level) {
+  for (; s->level < level; s->level++) {
+    if (s->width > 1) s->width /= 2;
+    if (s->height > 1) s->height /= 2;
+  }
 }
 
 uint32_t sample_source_block_lights(const sample_source *s) {
@@ -55,6 +65,6 @@ btf_status sample_source_read(const sample_source *s, uint32_t view, uint32_t li
   for (uint32_t l = light0; l < light0 + lights; l++)
     for (uint32_t y = 0; y < s->height; y++)
       for (uint32_t x = 0; x < s->width; x++, dst += s->channels)
-        btf_model_texel(s->model, 0, x, y, l, view, dst);
+        if (btf_model_texel(s->model, s->level, x, y, l, view, dst) > 0 && s->marks_defects) dst[0] = NAN;
   return BTF_OK;
 }

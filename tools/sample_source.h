@@ -12,10 +12,17 @@ typedef struct sample_source {
   const btf_dirset *light_set, *view_set;
   uint32_t views, lights, width, height, channels, quantity, wrap;
   uint32_t sample_type; /* of a data set; 0 for a container */
+  uint32_t levels, level;
+  /* NaN in the first channel of a sample that the model decodes to something not finite, where the library
+   * gives 0. Off unless set after opening. */
+  bool marks_defects;
 } sample_source;
 
 /* `in` stays open as long as the source is used. Containers get their model loaded. */
 int sample_source_open(input *in, sample_source *out);
+
+/* What is read from now on: width and height become those of the level. Only models have more than one. */
+void sample_source_set_level(sample_source *s, uint32_t level); /* not below the present one */
 
 /* Values of one image: width * height * channels. */
 static inline uint64_t sample_source_image_values(const sample_source *s) {

@@ -148,7 +148,7 @@ static const btf_codec_vtbl mean_codec = {.struct_size = sizeof(btf_codec_vtbl),
                                           .eval = mean_eval,
                                           .texel = mean_texel};
 static const btf_codec_vtbl *const codecs[] = {&mean_codec};
-static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "mean", "MIT", codecs, 1, 0};
+static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "mean", "MIT", codecs, 1, sizeof(btf_host)};
 
 /* The one symbol the library looks for. NULL would say: not with a library of this generation. */
 LIBBTF_API const btf_plugin_info *BTF_PLUGIN_ENTRY(uint32_t host_abi);

@@ -128,7 +128,7 @@ typedef struct btf_context_desc {
   void *log_user;
   btf_parallel_fn parallel; /**< the host's thread pool; NULL = one built in, started on first use */
   void *parallel_user;
-  uint32_t max_threads; /**< most threads at once, up to 1024; 0 = number of processors; also bounds `thread` of tasks */
+  uint32_t max_threads; /**< most threads at once, up to 1024; 0 = number of processors the process may use; also bounds `thread` of tasks */
   uint32_t flags;       /**< must be 0 */
   const char *isa;      /**< caps the vector instructions: "scalar", "avx2", "avx512", "neon"; NULL = the best */
 } btf_context_desc;
@@ -148,9 +148,14 @@ LIBBTF_API void btf_context_release(btf_context *ctx);
 /** Instruction set the context's kernels use: "scalar", "avx2", "avx512" or "neon". Threads: const. */
 LIBBTF_API const char *btf_context_isa(const btf_context *ctx);
 
+/** Most threads the context works with at once: max_threads of its description, or what 0 stood for. Threads: const. */
+LIBBTF_API uint32_t btf_context_threads(const btf_context *ctx);
+
 /** Bytes the context holds now, and the most it held; either pointer may be NULL. Threads: const. */
 LIBBTF_API void btf_context_memory(const btf_context *ctx, uint64_t *now, uint64_t *peak);
 
+/** A call in progress; the library's own. */
+typedef struct btf_running_job btf_running_job;
 /** How one long call behaves. NULL = defaults. */
 typedef struct btf_job {
   size_t struct_size;
@@ -160,9 +165,10 @@ typedef struct btf_job {
   void *user;
   uint64_t max_working_set; /**< bytes a fit may hold beside its result; 0 = 1 GiB */
   uint64_t seed;            /**< seed of every random choice; the same seed gives the same result */
+  btf_running_job *running; /**< NULL, or BTF_E_INVALID_ARG; set only in the job that a codec is handed (btf_plugin.h) */
 } btf_job;
 #define BTF_JOB_INIT                                                                                         \
-  { sizeof(btf_job), NULL, NULL, 0, 0 }
+  { sizeof(btf_job), NULL, NULL, 0, 0, NULL }
 
 #ifdef __cplusplus
 }

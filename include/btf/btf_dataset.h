@@ -28,8 +28,9 @@ typedef struct btf_interp {
 } btf_interp;
 
 /** Makes a set of `count` directions from 3 * count floats. Each must have z > 0 and length 1 within 1e-3 (it is
- *  normalised if it is off by more than 1e-5); no two may be closer than 1e-4 rad. Errors name the offending index: BTF_E_INVALID_ARG,
- *  BTF_E_LIMIT, BTF_E_NOMEM. Threads: free. */
+ *  normalised if it is off by more than 1e-5). Two are equal or at least 1e-4 rad apart. Of equal ones, as of a
+ *  measurement that was repeated, the first stands for all where a direction is looked up; the others are samples to be
+ *  reached by their index. Errors name the offending index: BTF_E_INVALID_ARG, BTF_E_LIMIT, BTF_E_NOMEM. Threads: free. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_dirset_create(btf_context *ctx, const float *xyz, uint32_t count,
                                                          btf_dirset **out);
 

@@ -24,7 +24,7 @@ typedef struct btf_param_desc {
   const char *name, *summary, *unit, *default_text; /**< unit may be NULL */
   const char *const *choices;                       /**< NULL-terminated; BTF_PARAM_CHOICE only */
   double minimum, maximum;                          /**< inclusive; infinite = open */
-  uint32_t type, flags;
+  uint32_t type, flags; /**< flags must be 0 */
 } btf_param_desc;
 
 /** Capabilities. */
@@ -135,18 +135,20 @@ enum {
 
 /** f per channel, 1/sr, without the cosine, to out[0 .. channels-1]: 3 lights x 3 views x 4 texels interpolated,
  *  and trilinear between levels (Schwartz 2013, sect. 4 and eq. 5). 0 when light or view is at or below the horizon
- *  (z <= 0) or when anything is not finite. A truncated sum may fall below 0 near dark samples: values are what the
+ *  (z <= 0), when anything is not finite or when flags has unknown bits. A truncated sum may fall below 0 near dark samples: values are what the
  *  method says, and a renderer that cannot bear negative light takes max(0, f). Threads: const. */
 LIBBTF_API void btf_model_eval(const btf_model *model, const btf_query *query, float *out);
 /** The same with the value asked for: BTF_VALUE_*. Threads: const. */
 LIBBTF_API void btf_model_eval_as(const btf_model *model, const btf_query *query, int32_t value, float *out);
 /** Evaluates a batch: out[channel][i]. Equal to the single call bit for bit, and faster. Consecutive queries
- *  of equal directions share work. A batch whose struct_size is wrong evaluates to nothing. Threads: const. */
+ *  of equal directions share work. A batch whose struct_size or reserved is wrong evaluates to nothing: `out` stays as
+ *  it was. Threads: const. */
 LIBBTF_API void btf_model_eval_n(const btf_model *model, const btf_batch *batch, int32_t value, float *const *out);
 
-/** The stored (BTF_VALUE_STORED) value of one decoded sample; indices out of range give 0. Threads: const. */
-LIBBTF_API void btf_model_texel(const btf_model *model, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
-                                uint32_t view, float *out);
+/** The stored (BTF_VALUE_STORED) value of one decoded sample; indices out of range give 0. Returns how many channels
+ *  decode to something not finite, which only a damaged model has; they are 0 in `out`. Threads: const. */
+LIBBTF_API uint32_t btf_model_texel(const btf_model *model, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
+                                    uint32_t view, float *out);
 
 /** Level of detail for a footprint: duvdx and duvdy are the derivatives of uv along the two screen axes.
  *  lod = log2(max(length of duvdx, length of duvdy)) in finest texels, clamped to 0 .. levels - 1
@@ -171,9 +173,10 @@ typedef struct btf_eval_cost {
 LIBBTF_API btf_status btf_model_cost(const btf_model *model, uint32_t flags, btf_eval_cost *io);
 
 /** Draws a light direction for query->view from the numbers xi in [0,1): writes the direction and
- *  weight[c] = f * light z / pdf per channel and returns the pdf per solid angle, 0 if there is none.
- *  Threads: const. */
-LIBBTF_API float btf_model_sample(const btf_model *model, const btf_query *query, const float xi[2], float light[3],
+ *  weight[c] = f * light z / pdf per channel and returns the pdf per solid angle, 0 if there is none or if a number is
+ *  outside [0,1). xi[0] and xi[1] place the direction; xi[2] is for choosing a lobe and has no effect while the
+ *  draw is cosine-weighted. Threads: const. */
+LIBBTF_API float btf_model_sample(const btf_model *model, const btf_query *query, const float xi[3], float light[3],
                                   float *weight);
 /** The pdf with which btf_model_sample draws query->light. Threads: const. */
 LIBBTF_API float btf_model_pdf(const btf_model *model, const btf_query *query);

@@ -63,7 +63,7 @@ typedef struct btf_svd_desc {
   uint64_t max_working_set; /**< bytes beside the result; 0 = 1 GiB */
   uint64_t seed;
   uint32_t block_items; /**< preferred multiple of items per read, 0 = any */
-  uint32_t reserved;
+  uint32_t reserved;    /**< must be 0 */
 } btf_svd_desc;
 /** A truncated singular value decomposition. Arrays are owned by the result. */
 typedef struct btf_svd_result {
@@ -110,7 +110,10 @@ typedef struct btf_host {
   uint32_t (*thread_count)(const btf_context *ctx);
   /* BTF_ISA_*: kernels for more than this must not run. */
   uint32_t (*isa)(const btf_context *ctx);
-  /* BTF_OK to go on, BTF_E_CANCELLED to stop. Fraction of the whole fit. From the thread that called `fit`. */
+  /* BTF_OK to go on, BTF_E_CANCELLED to stop. Fraction of the whole fit. From the thread that called `fit`.
+   * Here and below, `job` is the one that `fit` was given or a copy of it that lives no longer, for a codec that narrows
+   * max_working_set for a part of its work. Reports go to the caller of the fit whatever progress and user the copy
+   * has. A job made otherwise is BTF_E_INVALID_ARG. */
   btf_status (*progress)(const btf_job *job, double fraction, const char *stage);
 
   /* Data sets, as in btf_dataset.h. */
@@ -164,7 +167,8 @@ typedef struct btf_host {
 
   /* Dense linear algebra through BLAS and LAPACK on row-major matrices; absent (BTF_E_UNSUPPORTED) in a build without
    * fitting. They use threads of their own: large problems belong outside of tasks, small ones may be inside.
-   * gemm: c (m x n) = alpha op(a) op(b) + beta c, op transposes with BTF_TRANSPOSE_*; k is the inner size.
+   * gemm: c (m x n) = alpha op(a) op(b) + beta c, op transposes with BTF_TRANSPOSE_* (other flags are
+   * BTF_E_INVALID_ARG); k is the inner size.
    * gram: g (columns x columns, both halves) += a^T a, in float over short runs of rows and in double beyond; runs
    * whose squares a float cannot hold are scaled by a power of two.
    * symmetric_eigen: a (n x n, both halves) becomes eigenvectors, one a row, of descending `values`.
@@ -226,7 +230,10 @@ typedef struct btf_plugin_info {
   uint32_t struct_size, abi;
   const char *name, *license;
   const btf_codec_vtbl *const *codecs;
-  uint32_t codec_count, reserved;
+  uint32_t codec_count;
+  /** Bytes of btf_host that the codecs use: sizeof(btf_host) unless they look at host->struct_size themselves. A library
+   *  whose table is shorter refuses the module. */
+  uint32_t host_size_needed;
 } btf_plugin_info;
 /** Name of a module's one entry point; the ABI generation is part of it. */
 #define BTF_PLUGIN_ENTRY btf_plugin_entry_1

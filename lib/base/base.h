@@ -85,8 +85,8 @@ uint32_t btfi_isa_of_machine(void);
 
 /* ---- jobs (job.c) ---- */
 
-/* A job in use: begins with the caller's struct so that a pointer to it serves as a const btf_job *. */
-typedef struct btfi_job {
+/* A job in use. `desc` is what codecs are handed, and copy: its `running` leads back here. */
+typedef struct btf_running_job {
   btf_job desc;
   btf_context *ctx;
   int64_t last_report_ns;
@@ -94,10 +94,11 @@ typedef struct btfi_job {
   char last_stage[64];  /* a copy, since a codec may name its stages in a buffer of its own */
   bool cancelled;
 } btfi_job;
-/* Copies the caller's job (NULL = defaults; max_working_set becomes 1 GiB when 0). */
+/* Copies the caller's job (NULL = defaults; max_working_set becomes 1 GiB when 0). `out` stays where it is as
+ * long as it is used. */
 btf_status btfi_job_begin(btf_context *ctx, const btf_job *user, btfi_job *out);
-/* BTF_OK or BTF_E_CANCELLED (sticky). `job` is NULL or the desc of a btfi_job. Thins reports out to ten a
- * second, but passes on fraction 0, fraction 1 and every new stage. One thread. */
+/* BTF_OK or BTF_E_CANCELLED (sticky). `job` is NULL or the desc of a btfi_job or a copy of it. Thins reports
+ * out to ten a second, but passes on fraction 0, fraction 1 and every new stage. One thread. */
 btf_status btfi_progress(const btf_job *job, double fraction, const char *stage);
 int64_t btfi_now_ns(void);
 

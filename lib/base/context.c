@@ -101,6 +101,10 @@ const char *btf_context_isa(const btf_context *ctx) {
   return btfi_isa_name(ctx->isa);
 }
 
+uint32_t btf_context_threads(const btf_context *ctx) {
+  return ctx->max_threads;
+}
+
 uint32_t btfi_isa(const btf_context *ctx) {
   return ctx->isa;
 }

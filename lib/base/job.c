@@ -20,16 +20,22 @@ btf_status btfi_job_begin(btf_context *ctx, const btf_job *user, btfi_job *out) 
   out->last_fraction = -1.0;
   if (user)
     BTFI_TRY(btfi_copy_in(ctx, "btf_job", &out->desc, sizeof out->desc, BTFI_SIZE_TO(btf_job, seed), user));
+  if (out->desc.running)
+    return btfi_fail(ctx, BTF_E_INVALID_ARG,
+                     "btf_job: running is set; expected NULL, as BTF_JOB_INIT has it");
+  out->desc.running = out;
   if (out->desc.max_working_set == 0) out->desc.max_working_set = (uint64_t)1 << 30;
   return BTF_OK;
 }
 
-btf_status btfi_progress(const btf_job *desc, double fraction, const char *stage) {
-  if (!desc) return BTF_OK;
-  btfi_job *job =
-      (btfi_job *)(uintptr_t)desc; /* desc is the first member of a btfi_job, which is not const */
+btf_status btfi_progress(const btf_job *given, double fraction, const char *stage) {
+  if (!given) return BTF_OK;
+  if (given->struct_size < BTFI_SIZE_TO(btf_job, running) || !given->running)
+    return btfi_fail(NULL, BTF_E_INVALID_ARG,
+                     "btf_job: expected the job that `fit` was given, or a copy of it");
+  btfi_job *job = given->running;
   if (job->cancelled) return btfi_fail(NULL, BTF_E_CANCELLED, "cancelled by the caller");
-  if (!desc->progress) return BTF_OK;
+  if (!job->desc.progress) return BTF_OK;
 
   if (!stage) stage = "";
   fraction = fraction > 0.0 ? BTFI_MIN(fraction, 1.0) : 0.0; /* NaN becomes 0 */
@@ -42,7 +48,7 @@ btf_status btfi_progress(const btf_job *desc, double fraction, const char *stage
   if (new_stage) strncpy(job->last_stage, stage, sizeof job->last_stage - 1);
   job->last_fraction = fraction;
   job->last_report_ns = now;
-  if (desc->progress(desc->user, fraction, stage) == 0) return BTF_OK;
+  if (job->desc.progress(job->desc.user, fraction, stage) == 0) return BTF_OK;
   job->cancelled = true;
   return btfi_fail(job->ctx, BTF_E_CANCELLED, "cancelled by the caller at stage \"%s\"", stage);
 }

@@ -21,6 +21,8 @@ static bool fits_int(uint64_t n) {
 btf_status btfi_gemm(btf_context *ctx, uint32_t flags, uint64_t m, uint64_t n, uint64_t k, float alpha,
                      const float *a, size_t a_ld, const float *b, size_t b_ld, float beta, float *c,
                      size_t c_ld) {
+  if (flags & ~(uint32_t)(BTF_TRANSPOSE_A | BTF_TRANSPOSE_B))
+    return btfi_fail(ctx, BTF_E_INVALID_ARG, "gemm: unknown flags %#x", (unsigned)flags);
   if (!fits_int(m) || !fits_int(n) || !fits_int(k) || !fits_int(a_ld) || !fits_int(b_ld) || !fits_int(c_ld))
     return btfi_fail(ctx, BTF_E_LIMIT, "gemm: a matrix has more than %d rows or columns", INT_MAX);
   if (m == 0 || n == 0) return BTF_OK;

@@ -93,15 +93,15 @@ static btf_status check_run(const btf_dirset *set, uint32_t i, const btfi_keyed 
 
 /* Parabolic distance is at most the angle, so a pair that is too close lies in one cell of that size or in
  * two neighbours. A cell without such a pair holds a handful of samples. */
-static btf_status refuse_duplicates(btf_dirset *set) {
-  const uint32_t n = set->count;
+static btf_status refuse_neighbours(const btf_dirset *set, const uint32_t *distinct, uint32_t n) {
   btfi_keyed *list = btfi_alloc(set->ctx, 2 * ((uint64_t)n + 1), sizeof *list);
   if (!list) return btfi_alloc_status();
   const int32_t size = (int32_t)(BTFI_SMALLEST_ANGLE * BTFI_UNITS) + 4;
   for (uint32_t i = 0; i < n; i++) {
-    const uint64_t column = (uint64_t)((set->point[i][0] + BTFI_DELAUNAY_RANGE) / size) + 1,
-                   row = (uint64_t)((set->point[i][1] + BTFI_DELAUNAY_RANGE) / size) + 1;
-    list[i] = (btfi_keyed){row << 32 | column, i};
+    const int32_t *point = set->point[distinct[i]];
+    const uint64_t column = (uint64_t)((point[0] + BTFI_DELAUNAY_RANGE) / size) + 1,
+                   row = (uint64_t)((point[1] + BTFI_DELAUNAY_RANGE) / size) + 1;
+    list[i] = (btfi_keyed){row << 32 | column, distinct[i]};
   }
   btfi_sort_keyed(list, list + n + 1, n);
   list[n] = (btfi_keyed){UINT64_MAX, UINT32_MAX};
@@ -117,6 +117,15 @@ static btf_status refuse_duplicates(btf_dirset *set) {
   return status;
 }
 
+static btf_status build(btf_dirset *set, uint32_t *distinct) {
+  uint32_t count;
+  BTFI_TRY(btfi_dirset_find_distinct(set, distinct, &count));
+  BTFI_TRY(refuse_neighbours(set, distinct, count));
+  if (count < set->count) return btfi_dirset_build_distinct(set, distinct, count);
+  BTFI_TRY(btfi_dirset_build_facets(set));
+  return btfi_dirset_build_raster(set);
+}
+
 static btf_status fill(btf_dirset *set, const float *xyz) {
   btf_context *ctx = set->ctx;
   const uint32_t n = set->count;
@@ -127,9 +136,11 @@ static btf_status fill(btf_dirset *set, const float *xyz) {
   set->point = btfi_alloc(ctx, n, sizeof *set->point);
   if (!set->point) return btfi_alloc_status();
   for (uint32_t i = 0; i < n; i++) BTFI_TRY(take_direction(set, i, xyz + 3 * (size_t)i));
-  BTFI_TRY(refuse_duplicates(set));
-  BTFI_TRY(btfi_dirset_build_facets(set));
-  return btfi_dirset_build_raster(set);
+  uint32_t *distinct = btfi_alloc(ctx, n, sizeof *distinct);
+  if (!distinct) return btfi_alloc_status();
+  const btf_status status = build(set, distinct);
+  btfi_free(ctx, distinct);
+  return status;
 }
 
 btf_status btf_dirset_create(btf_context *ctx, const float *xyz, uint32_t count, btf_dirset **out) {

@@ -8,7 +8,7 @@
 
 #include <math.h>
 
-/* Directions of a set are at least this far apart, in radians. */
+/* Directions of a set are equal or at least this far apart, in radians. */
 #define BTFI_SMALLEST_ANGLE 1e-4
 
 /* Parabolic coordinates are rounded to multiples of 2^-24. Differences then have 26 bits, and cross and dot
@@ -59,6 +59,7 @@ struct btf_dirset {
   uint32_t facet_count, triangle_count;
   uint32_t *triangle; /* vertices of the triangles */
   btfi_cell *cell;
+  uint32_t cell_count;
   uint32_t *nearby;
 };
 
@@ -110,6 +111,11 @@ static inline const btfi_cell *btfi_raster_leaf(const btf_dirset *set, float px,
  * frees it also after a failure. */
 btf_status btfi_dirset_build_facets(btf_dirset *set);
 btf_status btfi_dirset_build_raster(btf_dirset *set);
+
+/* For sets with repeats (repeats.c). The first sample of each direction, by rising index; `distinct` has room
+ * for all. Then facets and raster of these alone. */
+btf_status btfi_dirset_find_distinct(const btf_dirset *set, uint32_t *distinct, uint32_t *count);
+btf_status btfi_dirset_build_distinct(btf_dirset *set, const uint32_t *distinct, uint32_t count);
 
 /* Weights at a point in whole units, searched from a facet on; returns the facet that holds it (locate.c). */
 uint32_t btfi_dirset_locate_from(const btf_dirset *set, uint32_t facet, double x, double y, btf_interp *out);

@@ -196,6 +196,7 @@ btf_status btfi_dirset_build_raster(btf_dirset *set) {
   }
   btfi_free(ctx, all);
   set->cell = b.cells.data;
+  set->cell_count = (uint32_t)b.cells.used;
   set->nearby = b.nearby.data;
   return status;
 }

@@ -58,13 +58,18 @@ static inline float convert(float stored, float factor) {
   return factor != 0.0f && fabsf(value) <= FLT_MAX ? value : 0.0f;
 }
 
+static inline int flags_known(uint32_t flags) {
+  return (flags & ~(uint32_t)BTF_QUERY_NEAREST) == 0;
+}
+
 static float query_factor(const btf_query *q, int kind) {
   /* Summed in pairs, since one long chain of additions would take longer than all the rest. */
   const float light = defect(q->light[0]) + defect(q->light[1]),
               view = defect(q->view[0]) + defect(q->view[1]);
   const float heights = defect(q->light[2]) + defect(q->view[2]), uv = defect(q->uv[0]) + defect(q->uv[1]);
   const float defects = ((light + view) + (heights + uv)) + defect(q->lod);
-  return domain(factor_of(kind, q->light[2]), q->light[2], q->view[2], defects);
+  const float factor = flags_known(q->flags) ? factor_of(kind, q->light[2]) : 0.0f;
+  return domain(factor, q->light[2], q->view[2], defects);
 }
 
 void btf_model_eval_as(const btf_model *model, const btf_query *query, int32_t value, float *out) {
@@ -145,6 +150,11 @@ void btf_model_eval_n(const btf_model *model, const btf_batch *batch, int32_t va
   const int kind = conversion(model->quantity, value);
   float *block_out[MAX_CHANNELS];
   if (!batch_usable(batch)) return;
+  if (!flags_known(batch->flags)) {
+    for (uint32_t c = 0; c < model->channels; c++)
+      for (size_t i = 0; i < batch->count; i++) out[c][i] = 0.0f;
+    return;
+  }
   for (size_t first = 0; first < batch->count; first += BLOCK) {
     btf_batch block = BTF_BATCH_INIT;
     block.count = BTFI_MIN(batch->count - first, (size_t)BLOCK);
@@ -163,19 +173,24 @@ void btf_model_eval_n(const btf_model *model, const btf_batch *batch, int32_t va
 
 /* ---- the rest ---- */
 
-void btf_model_texel(const btf_model *model, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
-                     uint32_t view, float *out) {
+uint32_t btf_model_texel(const btf_model *model, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
+                         uint32_t view, float *out) {
   const uint32_t channels = model->channels;
+  uint32_t defects = 0;
   const int inside = level < model->levels && x < BTFI_MAX(1u, model->width >> level) &&
                      y < BTFI_MAX(1u, model->height >> level) &&
                      light < btf_dirset_count(model->shape.lights) &&
                      view < btf_dirset_count(model->shape.views);
   if (!inside) {
     for (uint32_t c = 0; c < channels; c++) out[c] = 0.0f;
-    return;
+    return 0;
   }
   model->vtbl->texel(model->state, level, x, y, light, view, out);
-  for (uint32_t c = 0; c < channels; c++) out[c] = convert(out[c], 1.0f);
+  for (uint32_t c = 0; c < channels; c++) {
+    defects += !isfinite(out[c]);
+    out[c] = convert(out[c], 1.0f);
+  }
+  return defects;
 }
 
 float btf_model_lod(const btf_model *model, const float duvdx[2], const float duvdy[2]) {
@@ -198,9 +213,10 @@ float btf_model_pdf(const btf_model *model, const btf_query *query) {
   return query_factor(query, AS_STORED) != 0.0f ? query->light[2] * one_over_pi : 0.0f;
 }
 
-float btf_model_sample(const btf_model *model, const btf_query *query, const float xi[2], float light[3],
+float btf_model_sample(const btf_model *model, const btf_query *query, const float xi[3], float light[3],
                        float *weight) {
-  const int drawable = xi[0] >= 0.0f && xi[0] < 1.0f && xi[1] >= 0.0f && xi[1] < 1.0f;
+  const int drawable =
+      xi[0] >= 0.0f && xi[0] < 1.0f && xi[1] >= 0.0f && xi[1] < 1.0f && xi[2] >= 0.0f && xi[2] < 1.0f;
   const float radius = sqrtf(drawable ? xi[0] : 0.0f),
               azimuth = 6.28318530717958648f * (drawable ? xi[1] : 0.0f);
   btf_query drawn = *query;

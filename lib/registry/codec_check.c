@@ -123,6 +123,9 @@ static btf_status check_param(btf_context *ctx, const btf_codec *codec, uint32_t
       return btfi_fail(ctx, BTF_E_PLUGIN, "%s: parameter %s occurs twice", id, p->name);
   if (p->type < BTF_PARAM_INT || p->type > BTF_PARAM_STRING)
     return btfi_fail(ctx, BTF_E_PLUGIN, "%s: parameter %s: unknown type %u", id, p->name, (unsigned)p->type);
+  if (p->flags != 0)
+    return btfi_fail(ctx, BTF_E_PLUGIN, "%s: parameter %s: flags is %#x; expected 0", id, p->name,
+                     (unsigned)p->flags);
   if (p->summary == NULL || p->default_text == NULL)
     return btfi_fail(ctx, BTF_E_PLUGIN, "%s: parameter %s: summary and default must not be NULL", id,
                      p->name);

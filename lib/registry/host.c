@@ -8,8 +8,6 @@
 #include "svd/svd.h"
 #else
 
-#include <string.h>
-
 static btf_status evaluates_only(btf_context *ctx) {
   return btfi_fail(ctx, BTF_E_UNSUPPORTED,
                    "this build of libbtf evaluates only; it was made without LIBBTF_FIT");
@@ -47,11 +45,10 @@ static btf_status btfi_cholesky_solve(btf_context *ctx, uint32_t n, const double
 
 static btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *desc, const btf_job *job, double from,
                            double to, btf_svd_result *out) {
-  (void)desc;
-  (void)job;
-  (void)from;
-  (void)to;
-  if (out != NULL) memset(out, 0, sizeof *out);
+  const btf_svd_result nothing = {0};
+  (void)desc, (void)job, (void)from, (void)to;
+  BTFI_TRY(btfi_copy_out(ctx, "btf_svd_result", out, BTFI_SIZE_TO(btf_svd_result, residual), &nothing,
+                         sizeof nothing));
   return evaluates_only(ctx);
 }
 

@@ -28,9 +28,13 @@ static btf_status check_info(btf_context *ctx, const char *path, const btf_plugi
   if (info->abi != LIBBTF_ABI)
     return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the module was built for ABI %u; this library has ABI %u", path,
                      (unsigned)info->abi, LIBBTF_ABI);
-  if (info->struct_size < BTFI_SIZE_TO(btf_plugin_info, reserved))
+  if (info->struct_size < BTFI_SIZE_TO(btf_plugin_info, host_size_needed))
     return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the description of the module has %u bytes; expected %u", path,
-                     (unsigned)info->struct_size, (unsigned)BTFI_SIZE_TO(btf_plugin_info, reserved));
+                     (unsigned)info->struct_size, (unsigned)BTFI_SIZE_TO(btf_plugin_info, host_size_needed));
+  if (info->host_size_needed > sizeof(btf_host))
+    return btfi_fail(ctx, BTF_E_PLUGIN,
+                     "%s: the module needs a newer libbtf: %u bytes of the host table; this library has %u",
+                     path, (unsigned)info->host_size_needed, (unsigned)sizeof(btf_host));
   if (info->codecs == NULL || info->codec_count == 0 || info->codec_count > 1024)
     return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the module offers %u codecs; expected 1 to 1024", path,
                      info->codecs != NULL ? (unsigned)info->codec_count : 0u);

@@ -426,6 +426,8 @@ static btf_status check(btf_context *ctx, const btf_svd_desc *desc) {
     return btfi_fail(ctx, BTF_E_INVALID_ARG,
                      "svd: %" PRIu64 " items of %" PRIu64 " elements and rank %u; expected at least one each",
                      desc->items, desc->length, desc->rank);
+  if (desc->reserved != 0)
+    return btfi_fail(ctx, BTF_E_INVALID_ARG, "svd: reserved is %u; expected 0", desc->reserved);
   if (desc->layout > BTF_LAYOUT_ITEM_COLUMNS)
     return btfi_fail(ctx, BTF_E_INVALID_ARG, "svd: layout %u is unknown", desc->layout);
   if (!(desc->tolerance >= 0 && desc->tolerance <= 1) || !(desc->target_residual >= 0) ||

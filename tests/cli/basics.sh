@@ -65,6 +65,8 @@ run eval x --value colour
 expect "unknown value" 1 "brdf, brdf_cos or stored"
 run info x --threads 0
 expect "no threads" 1 "--threads"
+run info x --threads 1025
+expect "more threads than a context takes" 1 "from 1 to 1024"
 run info -t many x
 expect "threads not a number" 1 "--threads"
 run encode x -o y

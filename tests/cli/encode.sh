@@ -18,6 +18,9 @@ check_files() {
   run info big.btfz
   expect "info of a container" 0 "btf encode big.btfd --codec fmf --param components=8"
   grep -q "$work" out.txt && fail "the file records a path" || pass
+  run encode big.btfd -o small_memory.btfz --codec fmf -p components=8 -m 64
+  run info small_memory.btfz
+  expect "the file records the memory that the fit had" 0 "--param components=8 --memory 64"
   run info big.btfz --json
   expect_json "info --json of a container"
   grep -q '"checksum"' out.txt && pass || fail "info lists checksums"
@@ -31,6 +34,10 @@ check_files() {
   expect "another shape" 7 "texels differ"
   run bench big.btfz --json --seconds 0.05
   expect_json "bench --json"
+  if taskset -c 0 true 2>/dev/null; then # a process that may use one processor works with one thread
+    taskset -c 0 "$btf" bench big.btfz --json --seconds 0.05 >out.txt 2>err.txt
+    grep -q '^  "threads": 1,' out.txt && pass || fail "threads follow the processors allowed" "$(grep threads out.txt)"
+  fi
   run bench big.btfz --seconds 0.05 -p components=4
   expect "bench of a container with parameters" 1 "compressed already"
   run bench big.btfz --seconds 0.05 --codec fmf

@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT
-# Golden tests of the btf command. Usage: run.sh BTF TESTS_CLI_DIR [PLUGIN], the example plug-in; UPDATE=1 rewrites the
-# recorded help texts. A check that cannot be made here (no python3, no FMF codec) is counted as skipped.
+# Golden tests of the btf command. Usage: run.sh BTF TESTS_CLI_DIR HOSTILE [PLUGIN]: the program that writes hostile files,
+# or "", and the example plug-in; UPDATE=1 rewrites the recorded help texts. A check that cannot be made here (no python3, no FMF codec) is counted as skipped.
 set -u
 btf=$1
 here=$2
-plugin=${3:-}
+hostile=${3:-}
+plugin=${4:-}
 work=$(mktemp -d "${TMPDIR:-/tmp}/btf-cli-XXXXXX")
 trap 'rm -rf "$work"' EXIT
 cd "$work" || exit 1
@@ -94,7 +95,7 @@ leftovers() {
   ls -A "$folder" | grep -vxF -e "${1:-//}" -e "${2:-//}" || true
 }
 
-for part in basics values encode plugins pictures robust; do
+for part in basics values encode plugins pictures robust hostile; do
   # shellcheck source=/dev/null
   . "$here/$part.sh"
 done

@@ -10,6 +10,7 @@
 #include "metrics.h"
 #include "number_text.h"
 #include "parallel.h"
+#include "safe_text.h"
 
 /* ---- numbers as text ---- */
 
@@ -463,6 +464,55 @@ static void every_task_runs_once_on_its_thread(void **state) {
   }
 }
 
+/* Every code point, encoded here: shown as it is unless it is a control, then one '?'. Surrogates and what
+ * lies beyond Unicode are no UTF-8: a '?' for each byte. */
+static void text_for_terminals_has_no_controls(void **state) {
+  (void)state;
+  for (uint32_t code = 1; code < 0x120000; code++) {
+    char text[8] = "a", expected[8] = "a";
+    unsigned char c[4];
+    size_t length = 1;
+    const int surrogate = code >= 0xd800 && code <= 0xdfff;
+    const int control = code <= 0x1f || (code >= 0x7f && code <= 0x9f) || code == 0x61c || code == 0x200e ||
+                        code == 0x200f || (code >= 0x2028 && code <= 0x202e) ||
+                        (code >= 0x2066 && code <= 0x2069);
+    c[0] = (unsigned char)code;
+    if (code >= 0x80) {
+      length = code < 0x800 ? 2 : code < 0x10000 ? 3 : 4;
+      for (size_t i = 0; i < length; i++)
+        c[i] = (unsigned char)(0x80 | (code >> 6 * (length - 1 - i) & 0x3f));
+      c[0] = (unsigned char)((0xf00 >> length & 0xff) | code >> 6 * (length - 1));
+    }
+    memcpy(text + 1, c, length);
+    strcat(text, "z");
+    if (surrogate || code > 0x10ffff)
+      memset(expected + 1, '?', length);
+    else if (control)
+      expected[1] = '?';
+    else
+      memcpy(expected + 1, c, length);
+    strcat(expected, "z");
+    safe_text_clean(text);
+    if (strcmp(text, expected) != 0) fail_msg("U+%04X became \"%s\"", code, text);
+  }
+  static const char *const broken[][2] = {{"\x9b"
+                                           "1m",
+                                           "?1m"},
+                                          {"\xc0\xaf", "??"},
+                                          {"\xe0\x80\x80", "???"},
+                                          {"\xf0\x80\x80\x80", "????"},
+                                          {"\xe2\x80", "??"},
+                                          {"\xc2", "?"},
+                                          {"\xff\xfe", "??"},
+                                          {"\xe2\x82z", "??z"}};
+  for (size_t i = 0; i < sizeof broken / sizeof *broken; i++) {
+    char text[8];
+    strcpy(text, broken[i][0]);
+    safe_text_clean(text);
+    assert_string_equal(text, broken[i][1]);
+  }
+}
+
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(numbers_are_written_like_printf),
@@ -479,6 +529,7 @@ int main(void) {
       cmocka_unit_test(ssim_is_what_its_definition_says),
       cmocka_unit_test(near_misses_are_likely_ones),
       cmocka_unit_test(headings_break_after_words),
+      cmocka_unit_test(text_for_terminals_has_no_controls),
       cmocka_unit_test(every_task_runs_once_on_its_thread),
   };
   return btf_run("tool parts", tests);

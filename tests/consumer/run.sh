@@ -73,14 +73,14 @@ pkg_static() {
 }
 check "pkg-config static" pkg_static
 
-for header in btf btf_base btf_dataset btf_model btf_io btf_plugin btf_half btf_sampling; do
+for header in btf btf_base btf_dataset btf_model btf_io btf_plugin btf_codec btf_half btf_sampling; do
   printf '#include <btf/%s.h>\nint main(void) { return 0; }\n' $header >"$work/one.c"
   check "$header.h alone as C99" ${CC:-cc} -std=c99 -Wall -Wextra -Wpedantic -Wpadded -Werror -fsyntax-only -I"$source/include" "$work/one.c"
   check "$header.h alone as C++11" ${CXX:-c++} -x c++ -std=c++11 -Wall -Wextra -Wpedantic -Werror -fsyntax-only -I"$source/include" "$work/one.c"
 done
-printf '#include <linux/btf.h>\n#include <btf/btf.h>\n#include <btf/btf_plugin.h>\nint main(void) { return 0; }\n' >"$work/one.c"
+printf '#include <linux/btf.h>\n#include <btf/btf.h>\n#include <btf/btf_codec.h>\nint main(void) { return 0; }\n' >"$work/one.c"
 check "after <linux/btf.h>" ${CC:-cc} -std=c99 -Wall -Werror -fsyntax-only -I"$source/include" "$work/one.c"
-printf '#include <btf/btf.h>\n#include <btf/btf_plugin.h>\n#include <linux/btf.h>\nint main(void) { return 0; }\n' >"$work/one.c"
+printf '#include <btf/btf.h>\n#include <btf/btf_codec.h>\n#include <linux/btf.h>\nint main(void) { return 0; }\n' >"$work/one.c"
 check "before <linux/btf.h>" ${CC:-cc} -std=c99 -Wall -Werror -fsyntax-only -I"$source/include" "$work/one.c"
 
 echo "$passed passed, $failed failed"

@@ -125,7 +125,7 @@ static void check_batch(const btf_model *model, uint32_t channels, const queries
 }
 
 static void check_sampling(const btf_model *model, uint32_t channels, const btf_query *query,
-                           const float xi[2]) {
+                           const float xi[3]) {
   float light[3], weight[CHANNELS_MAX];
   const float pdf = btf_model_pdf(model, query);
   fuzz_expect(isfinite(pdf) && pdf >= 0.0f);
@@ -142,7 +142,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
   fuzz_bytes in = {data, size};
   btf_model_info info = BTF_MODEL_INFO_INIT;
   uint32_t flags;
-  float xi[2];
+  float xi[3];
   if (model_count == 0) {
     /* The models stay, and the data of an empty chunk begin where its memory ends, which looks like a leak.
      */
@@ -156,6 +156,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
   if (kind & 2) fuzz_take(&in, &flags, sizeof flags);
   const int32_t value = kind & 4 ? (int32_t)fuzz_u8(&in) : (int32_t)(kind >> 3) % 3;
   for (int k = 0; k < 2; k++) xi[k] = take_float(&in);
+  xi[2] = xi[0];
   fuzz_expect(btf_model_describe(model, &info) == BTF_OK && info.channels <= CHANNELS_MAX);
   for (q.count = 0; q.count < MOST_QUERIES && in.size > 0; q.count++) {
     const uint32_t repeat = fuzz_u8(&in); /* directions of the query before, which a batch shares */

@@ -67,9 +67,12 @@ static void texel(const void *state, uint32_t l, uint32_t x, uint32_t y, uint32_
 static const btf_codec_vtbl first = CODEC(FIRST_ID, eval), second = CODEC(SECOND_ID, SECOND_EVAL);
 static const btf_codec_vtbl *const codecs[] = {&first, &second};
 #if defined(REFUSED_EMPTY)
-static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "refused", "MIT", codecs, 0, 0};
+static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "refused", "MIT", codecs, 0, sizeof(btf_host)};
+#elif defined(REFUSED_NEWER_HOST)
+static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "refused",           "MIT",
+                                     codecs,      2,          sizeof(btf_host) + 8};
 #else
-static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "refused", "MIT", codecs, 2, 0};
+static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "refused", "MIT", codecs, 2, sizeof(btf_host)};
 #endif
 
 #if defined(REFUSED_NO_ENTRY)
