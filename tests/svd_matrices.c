@@ -11,7 +11,36 @@ matrix matrix_alloc(uint64_t items, uint64_t length) {
   return m;
 }
 
+/* Of a tall matrix, from the eigenvalues of M^T M: in double they are exact to 1e-16 sigma_1^2 or so. */
+static void measure_tall(matrix *m) {
+  enum { ROWS = 1024 };
+  const size_t length = (size_t)m->length;
+  double *gram = calloc(length * length, sizeof *gram), *rows = malloc(ROWS * length * sizeof *rows);
+  m->sigma = malloc(length * sizeof *m->sigma);
+  m->energy = 0;
+  for (uint64_t first = 0; first < m->items; first += ROWS) {
+    const size_t count = (size_t)BTFI_MIN((uint64_t)ROWS, m->items - first);
+    for (size_t k = 0; k < count * length; k++) rows[k] = m->values[first * length + k];
+    cblas_dsyrk(CblasRowMajor, CblasUpper, CblasTrans, (int)length, (int)count, 1, rows, (int)length, 1, gram,
+                (int)length);
+  }
+  for (size_t j = 0; j < length; j++) m->energy += gram[j * length + j];
+  assert_int_equal(LAPACKE_dsyevd(LAPACK_ROW_MAJOR, 'N', 'U', (int)length, gram, (int)length, m->sigma), 0);
+  for (size_t i = 0, j = length - 1; i < j; i++, j--) {
+    const double value = m->sigma[i];
+    m->sigma[i] = m->sigma[j];
+    m->sigma[j] = value;
+  }
+  for (size_t j = 0; j < length; j++) m->sigma[j] = sqrt(fmax(0, m->sigma[j]));
+  free(gram);
+  free(rows);
+}
+
 void matrix_measure(matrix *m) {
+  if (m->items > 64 * m->length) {
+    measure_tall(m);
+    return;
+  }
   const uint64_t smaller = BTFI_MIN(m->items, m->length);
   double *copy = malloc(m->items * m->length * sizeof(double));
   m->sigma = malloc(smaller * sizeof(double));
@@ -136,6 +165,35 @@ matrix with_narrow_lobes(uint64_t side, uint64_t length) {
   }
   free(normal);
   free(albedo);
+  matrix_measure(&m);
+  return m;
+}
+
+matrix with_some_alike(const uint64_t *alike, size_t count, double weight) {
+  enum { ITEMS = 65536, LENGTH = 400, BACKGROUND = 350, RANK = 32 };
+  matrix m = matrix_alloc(ITEMS, LENGTH);
+  btfi_random random;
+  btfi_random_seed(&random, 7);
+  double *v = random_frame(&random, LENGTH, BACKGROUND + 1), weakest = 0;
+  float *factor = malloc(sizeof(float) * BACKGROUND * LENGTH);
+  float *weights = malloc(sizeof(float) * ITEMS * BACKGROUND);
+  for (size_t k = 0; k < BACKGROUND; k++) {
+    const double sigma = 100 * pow(0.86, (double)k) + 0.02;
+    if (k == RANK - 1) weakest = sigma;
+    for (size_t j = 0; j < LENGTH; j++)
+      factor[k * LENGTH + j] = (float)(sigma / sqrt(ITEMS) * v[j * (BACKGROUND + 1) + k]);
+  }
+  for (size_t k = 0; k < (size_t)ITEMS * BACKGROUND; k++) weights[k] = btfi_random_normal(&random);
+  cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, ITEMS, LENGTH, BACKGROUND, 1, weights, BACKGROUND,
+              factor, LENGTH, 0, m.values, LENGTH);
+  for (size_t c = 0; c < count; c++) {
+    for (size_t j = 0; j < LENGTH; j++)
+      m.values[alike[c] * LENGTH + j] +=
+          (float)(sqrt(weight) * weakest * v[j * (BACKGROUND + 1) + BACKGROUND]);
+  }
+  free(weights);
+  free(factor);
+  free(v);
   matrix_measure(&m);
   return m;
 }

@@ -34,6 +34,9 @@ double spectrum_flat(uint64_t k);
 double spectrum_rank_seven(uint64_t k);
 matrix with_rare_features(uint64_t items, uint64_t length);
 matrix with_narrow_lobes(uint64_t side, uint64_t length);
+/* 65536 items of 400 elements with 350 components that fall by 0.86 from one to the next. The items listed
+ * have a direction of their own beside, with `weight` of the 32nd squared value each. */
+matrix with_some_alike(const uint64_t *alike, size_t count, double weight);
 
 btf_svd_desc describe(matrix *m, uint32_t rank);
 btf_svd_result fresh(void);

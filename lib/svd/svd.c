@@ -246,8 +246,6 @@ static btf_status converge(svd_state *s) {
       BTFI_TRY(btfi_svd_refine(s, first, last));
     } else {
       BTFI_TRY(btfi_svd_pass(s, first, last, &missed));
-      /* Each direction that strays have in common would put one of the present ones out. */
-      if (s->found >= rank) missed = fmax(0, missed - s->ritz[rank - 1]);
       memcpy(previous, s->ritz_before, rank * sizeof(double));
     }
     first = last;

@@ -66,6 +66,7 @@ enum {
   SVD_GRAM_ROWS = 512, /* rows taken at once where a panel is met in double */
   SVD_SMALL = 8,
   SVD_WIDE = 5,
+  SVD_STRAY_COLUMNS = 32,
   SVD_MAX_PASSES = 40
 };
 
@@ -109,10 +110,36 @@ btf_status btfi_svd_start(svd_state *s);
  * `slot`. False if nothing is left of it. */
 bool btfi_svd_set_direction(svd_state *s, float *direction, uint32_t slot);
 
+/* ---- svd_strays.c ---- */
+
+/* Columns of the basis beyond the rank that are given away during a pass. */
+typedef struct svd_strays {
+  bool watch;
+  uint32_t first, count;  /* columns that may be taken */
+  uint32_t filled, next;  /* in use; where the search for one to give up starts */
+  uint32_t taken, trials; /* strays, and items of the crowd, taken up so far */
+  bool refused;           /* a trial found no column */
+  double stray_floor;     /* rest that makes an item a stray */
+  double crowd_floor;     /* rest that makes it one of the crowd */
+  double missed;          /* rest of strays that found no column */
+  double crowd, tried;    /* rest of the crowd so far; as much of it as trials answer for */
+  bool trial[SVD_STRAY_COLUMNS];
+  double energy[SVD_STRAY_COLUMNS]; /* captured along each */
+  double before[SVD_STRAY_COLUMNS]; /* rest of the crowd in the blocks before */
+} svd_strays;
+
+void btfi_svd_strays_begin(const svd_state *s, svd_strays *strays);
+/* Takes up what stands out of a block whose rows of C and norms are known. */
+void btfi_svd_strays_take(svd_state *s, svd_strays *strays, const btfi_slab *slab, uint64_t row,
+                          uint64_t items);
+/* Energy that unforeseen directions may have beside what the Ritz values have of them. */
+double btfi_svd_strays_missed(const svd_state *s, const svd_strays *strays);
+
 /* ---- svd_pass.c ---- */
 
 /* One reading of the matrix: C = M P with strays taken up, Y = M^T C, Ritz values, and the next basis.
- * *missed is the energy of strays that found no column. Progress goes from first to last, within 0..1. */
+ * *missed is what strays may have that found no column or found it late. Progress goes from first to last,
+ * within 0..1. */
 btf_status btfi_svd_pass(svd_state *s, double first, double last, double *missed);
 /* One reading after a pass: the image of the new basis, and Ritz values in both bases together. */
 btf_status btfi_svd_refine(svd_state *s, double first, double last);
