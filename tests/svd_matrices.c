@@ -207,7 +207,8 @@ static btf_status read_matrix(void *user, uint64_t item0, uint64_t items, float 
   m->items_read += items;
   m->largest_read = BTFI_MAX(m->largest_read, items);
   if (m->fail_at > 0 && m->reads == m->fail_at)
-    return btfi_fail(NULL, BTF_E_IO, "wool: block %ld is gone", m->reads);
+    return btfi_fail(NULL, m->fail_with != BTF_OK ? m->fail_with : BTF_E_IO, "wool: block %ld is gone",
+                     m->reads);
   for (uint64_t i = 0; i < items; i++) {
     for (uint64_t j = 0; j < m->length; j++) {
       const float value = m->values[(item0 + i) * m->length + j];

@@ -13,6 +13,7 @@ typedef struct matrix {
   double *sigma; /* of the float values, by LAPACK */
   double energy;
   long reads, fail_at;
+  btf_status fail_with; /* BTF_OK stands for BTF_E_IO */
   uint64_t items_read, largest_read;
   uint32_t layout;
 } matrix;

@@ -6,8 +6,9 @@
 
 #include "svd/svd_state.h"
 
-btf_status btfi_svd_report(const svd_state *s, double fraction) {
-  return btfi_progress(s->job, s->from + (s->to - s->from) * fraction, "svd");
+btf_status btfi_svd_report(svd_state *s, double fraction) {
+  s->reached = s->from + (s->to - s->from) * fraction;
+  return btfi_progress(s->job, s->reached, "svd");
 }
 
 void btfi_svd_pack_projection(svd_state *s, uint64_t row, uint64_t items, const btfi_slab *slab) {
@@ -47,9 +48,7 @@ btf_status btfi_svd_pass(svd_state *s, double first, double last, double *missed
     btfi_svd_pack_projection(s, row, items, &slab);
     BTFI_TRY(btfi_slab_accumulate(s->ctx, &slab, s->packed_projection, plan->width, s->image));
   }
-  if (!isfinite(energy))
-    return btfi_fail(s->ctx, BTF_E_NUMERIC,
-                     "svd: the matrix has values that are not finite or beyond float's range");
+  if (!isfinite(energy)) return btfi_svd_not_finite(s);
   s->energy = energy;
   s->passes++;
   s->partial_first = strays.first;

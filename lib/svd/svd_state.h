@@ -25,11 +25,14 @@ typedef struct svd_state {
   btf_context *ctx;
   const btf_svd_desc *desc;
   const btf_job *job;
-  double from, to;
+  double from, to; /* progress of the attempt at hand */
+  double reached;  /* the last that was reported */
   btfi_random random;
   svd_plan plan;
   uint32_t largest_rank; /* wanted, as far as the matrix can have it */
   int exponent;          /* values are read times 2^-exponent */
+  bool overflowed;       /* values, or their squares, were beyond float's range */
+  bool lost;             /* singular vectors were not orthogonal, as where squares fall below float's range */
 
   float *blocks;            /* the held matrix or the sample */
   float *window;            /* the block last read, unless the matrix is held */
@@ -43,7 +46,7 @@ typedef struct svd_state {
   double *norms;    /* squared norm of each item of the block at hand */
   double *small;    /* SVD_SMALL matrices of width x width */
   double *wide;     /* SVD_WIDE matrices of twice the width, and four rows of it; where the plan refines */
-  double *rows;     /* max(SVD_GRAM_ROWS, width) x width */
+  double *rows;     /* scratch: max(SVD_GRAM_ROWS, width) x width, and for LAPACK */
   double *theta;    /* 5 x width */
   double *previous; /* the last part of it: Ritz values before the step at hand */
 
@@ -70,6 +73,13 @@ enum {
   SVD_MAX_PASSES = 40
 };
 
+/* ---- svd_plan.c ---- */
+
+btf_status btfi_svd_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t rank, svd_plan *plan);
+/* Allocates what the plan says; the end frees it, also after a failure. */
+btf_status btfi_svd_begin_state(svd_state *s);
+void btfi_svd_end_state(svd_state *s);
+
 /* ---- svd_blocks.c ---- */
 
 /* Items of block b, and the slab over it as it lies at `data`. */
@@ -86,6 +96,8 @@ btf_status btfi_svd_read_sample(svd_state *s);
 
 /* ---- svd_ritz.c ---- */
 
+/* Fails for values, or squares of them, that float does not hold. */
+btf_status btfi_svd_not_finite(svd_state *s);
 /* gram (columns x columns, row-major) = panel^T panel in double. */
 void btfi_svd_gram(svd_state *s, const float *panel, size_t rows, double *gram);
 /* Makes the columns of a panel orthonormal; those without a direction of their own become zero and move
@@ -150,6 +162,7 @@ btf_status btfi_svd_explicit_rest(svd_state *s, double first, double last, doubl
 void btfi_svd_pack_projection(svd_state *s, uint64_t row, uint64_t items, const btfi_slab *slab);
 /* Turns Y into the right Ritz vectors, which become the basis. */
 btf_status btfi_svd_next_basis(svd_state *s);
-btf_status btfi_svd_report(const svd_state *s, double fraction);
+/* Progress within the attempt at hand, 0..1. */
+btf_status btfi_svd_report(svd_state *s, double fraction);
 
 #endif
