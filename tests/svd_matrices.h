@@ -46,6 +46,8 @@ uint64_t smallest_budget(btf_context *ctx, btf_svd_desc desc);
 
 /* ||M - U S V^T||^2, entry by entry. */
 double explicit_error(const matrix *m, const btf_svd_result *r);
+/* What float panels may put wrong in a singular value. */
+double sigma_rounding(const matrix *m);
 void check_result(const matrix *m, const btf_svd_result *r);
 void check_optimal(const matrix *m, const btf_svd_result *r, double ratio);
 

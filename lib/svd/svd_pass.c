@@ -51,6 +51,7 @@ btf_status btfi_svd_pass(svd_state *s, double first, double last, double *missed
   if (!isfinite(energy)) return btfi_svd_not_finite(s);
   s->energy = energy;
   s->passes++;
+  s->readings++;
   s->partial_first = strays.first;
   s->partial_count = strays.filled;
   BTFI_TRY(btfi_svd_ritz(s, (size_t)s->desc->items));
@@ -74,6 +75,7 @@ btf_status btfi_svd_refine(svd_state *s, double first, double last) {
                                s->second_projection + b * plan->block_items * plan->width, NULL));
   }
   s->passes++;
+  s->readings++;
   return btfi_svd_ritz_pair(s);
 }
 

@@ -165,6 +165,7 @@ btf_status btfi_svd_begin_state(svd_state *s) {
       (s->theta = btfi_alloc(s->ctx, 5 * width, sizeof(double))) == NULL)
     return btfi_alloc_status();
   s->previous = s->theta + 4 * width;
+  s->readings = 0;
   const uint64_t both = 2 * width;
   if (plan->refine && ((s->second_projection = btfi_alloc(s->ctx, s->desc->items + BTFI_SLAB_GRAIN,
                                                           width * sizeof(float))) == NULL ||

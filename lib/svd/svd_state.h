@@ -55,6 +55,7 @@ typedef struct svd_state {
   double sample_rest; /* squared residual that the sample promises at `rank`; 0 without a sample */
   double mean_rest;   /* squared distance of an item from the basis, on average, as far as known */
   uint32_t passes;
+  uint32_t readings;                     /* the same, of the attempt at hand */
   uint32_t partial_first, partial_count; /* columns of C that strays took up on the way */
 
   /* Outcome of the last Rayleigh-Ritz step. */

@@ -22,7 +22,7 @@ void btfi_svd_strays_begin(const svd_state *s, svd_strays *strays) {
   strays->count =
       plan->width > plan->rank ? BTFI_MIN((plan->width - plan->rank) / 2, (uint32_t)SVD_STRAY_COLUMNS) : 0;
   strays->first = plan->width - strays->count;
-  strays->watch = strays->count > 0 && s->passes < STRAY_PASSES && plan->width < s->desc->length;
+  strays->watch = strays->count > 0 && s->readings < STRAY_PASSES && plan->width < s->desc->length;
   strays->stray_floor = fmax(stray_factor * s->mean_rest, stray_weight * s->kept_energy);
   /* Without a sample nothing is known of the rest, and all items far away are strays. */
   strays->crowd_floor = s->kept_energy > 0 ? crowd_factor * s->mean_rest : INFINITY;
