@@ -13,6 +13,7 @@ typedef struct matrix {
   double *sigma; /* of the float values, by LAPACK */
   double energy;
   long reads, fail_at;
+  btf_status fail_with; /* BTF_OK stands for BTF_E_IO */
   uint64_t items_read, largest_read;
   uint32_t layout;
 } matrix;
@@ -34,6 +35,9 @@ double spectrum_flat(uint64_t k);
 double spectrum_rank_seven(uint64_t k);
 matrix with_rare_features(uint64_t items, uint64_t length);
 matrix with_narrow_lobes(uint64_t side, uint64_t length);
+/* 65536 items of 400 elements with 350 components that fall by 0.86 from one to the next. The items listed
+ * have a direction of their own beside, with `weight` of the 32nd squared value each. */
+matrix with_some_alike(const uint64_t *alike, size_t count, double weight);
 
 btf_svd_desc describe(matrix *m, uint32_t rank);
 btf_svd_result fresh(void);
@@ -42,6 +46,8 @@ uint64_t smallest_budget(btf_context *ctx, btf_svd_desc desc);
 
 /* ||M - U S V^T||^2, entry by entry. */
 double explicit_error(const matrix *m, const btf_svd_result *r);
+/* What float panels may put wrong in a singular value. */
+double sigma_rounding(const matrix *m);
 void check_result(const matrix *m, const btf_svd_result *r);
 void check_optimal(const matrix *m, const btf_svd_result *r, double ratio);
 

@@ -23,17 +23,25 @@ static void test_matches_lapack(void **state) {
     const spectrum_case *sc = &spectrum_cases[c];
     matrix m = with_spectrum(sc->items, sc->length, sc->spectrum, 40 + c);
     for (m.layout = 0; m.layout < 2; m.layout++) {
-      btf_svd_desc desc = describe(&m, sc->rank);
-      btf_svd_result r = fresh();
-      assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
-      assert_int_equal(r.rank, sc->rank);
-      check_result(&m, &r);
-      check_optimal(&m, &r, 1.001);
-      /* One reading serves a matrix that is held. */
-      assert_int_equal(r.passes, 1);
-      assert_int_equal(m.items_read, m.items);
-      btfi_svd_free(ctx, &r);
-      assert_null(r.item_vectors);
+      /* Held, and under every sixteenth of the matrix that does not hold it. */
+      for (uint64_t part = 0; part < 12; part++) {
+        btf_svd_desc desc = describe(&m, sc->rank);
+        btf_svd_result r = fresh();
+        if (part > 0)
+          desc.max_working_set = smallest_budget(ctx, desc) + m.items * m.length * sizeof(float) * part / 16;
+        m.items_read = 0;
+        assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
+        assert_int_equal(r.rank, sc->rank);
+        check_result(&m, &r);
+        check_optimal(&m, &r, 1.001);
+        if (part == 0) {
+          /* One reading serves a matrix that is held. */
+          assert_int_equal(r.passes, 1);
+          assert_int_equal(m.items_read, m.items);
+        }
+        btfi_svd_free(ctx, &r);
+        assert_null(r.item_vectors);
+      }
     }
     matrix_free(&m);
   }
@@ -130,7 +138,7 @@ static void test_rare_features(void **state) {
   matrix m = with_rare_features(3200, 240);
   for (m.layout = 0; m.layout < 2; m.layout++) {
     btf_svd_desc desc = describe(&m, 16);
-    /* Room for a sample of a tenth of the items, so that most of the strays are not in it. */
+    /* Far less than the matrix, so that most of the strays come late. */
     desc.max_working_set = smallest_budget(ctx, desc) + 600000;
     btf_svd_result r = fresh();
     assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
@@ -182,7 +190,7 @@ static void test_rank_deficient(void **state) {
     assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
     assert_int_equal(r.rank, 7);
     check_result(&m, &r);
-    for (uint32_t k = 0; k < 7; k++) assert_relative(r.sigma[k], m.sigma[k], 1e-5);
+    for (uint32_t k = 0; k < 7; k++) assert_near(r.sigma[k], m.sigma[k], sigma_rounding(&m));
     btfi_svd_free(ctx, &r);
   }
   matrix_free(&m);
@@ -226,8 +234,8 @@ static void test_rank_one_of_equal_rows(void **state) {
     btf_svd_result r = fresh();
     assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
     assert_int_equal(r.rank, 1);
-    /* Runs of 512 float sums: 512 * 2^-24 = 3e-5 at the very worst, a few 1e-6 as they fall; the residual
-     * says so too. */
+    /* Terms are equal, so that the 256 roundings of a run in registers may all fall one way: half of 256 *
+     * 2^-24 = 8e-6, since partial sums grow from nothing; the residual says so too. */
     assert_true(sqrt(explicit_error(&m, &r) / energy) <= 1e-5);
     assert_true(r.residual <= 1e-10 * energy);
     btfi_svd_free(ctx, &r);
@@ -291,7 +299,7 @@ static void test_small_shapes(void **state) {
         assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
         assert_int_equal(r.rank, BTFI_MIN(m.items, m.length));
         check_result(&m, &r);
-        for (uint32_t k = 0; k < r.rank; k++) assert_near(r.sigma[k], m.sigma[k], 2e-6 * m.sigma[0]);
+        for (uint32_t k = 0; k < r.rank; k++) assert_near(r.sigma[k], m.sigma[k], sigma_rounding(&m));
         btfi_svd_free(ctx, &r);
       }
       matrix_free(&m);
@@ -490,14 +498,20 @@ static void test_scale(void **state) {
         btf_svd_result r = fresh();
         assert_ok(btfi_svd(ctx, &other, NULL, 0, 1, &r));
         assert_int_equal(r.rank, plain.rank);
-        /* The scale chosen may differ from the plain one by a power of two of its own; at 2^-120, values
-         * below 2^-6 lose digits to float's lower end: 2^-24 of the largest. */
+        /* Held, each step of the one is that of the other, scaled, but for what loses digits to float's lower
+         * end: values at 2^-120, and at 2^60, which is not scaled yet, the map from Y to V, which is of the
+         * size of 2^-120. Otherwise what rounding allows to both. */
+        const bool exact = !tight && exponents[e] != -120 && exponents[e] != 60;
+        /* Sums of 300 terms of one sign err by 2^-24 sqrt(300) / 3 = 3.4e-7 as they fall, which both may; the
+         * residual is a tenth of the energy; a vector turns by that over the gap to the next value, 1 / 9 - 1
+         * / 10. */
+        const double apart = exact ? 0 : 1e-6;
         for (uint32_t k = 0; k < r.rank; k++)
-          assert_relative(ldexp(r.sigma[k], -exponents[e]), plain.sigma[k], 1e-6);
-        assert_relative(ldexp(r.energy, -2 * exponents[e]), plain.energy, 1e-6);
-        assert_relative(ldexp(r.residual, -2 * exponents[e]), plain.residual, 1e-5);
+          assert_relative(ldexp(r.sigma[k], -exponents[e]), plain.sigma[k], apart);
+        assert_relative(ldexp(r.energy, -2 * exponents[e]), plain.energy, apart);
+        assert_relative(ldexp(r.residual, -2 * exponents[e]), plain.residual, 10 * apart);
         for (uint64_t k = 0; k < m.length * r.rank; k++)
-          assert_near(r.element_vectors[k], plain.element_vectors[k], 1e-4);
+          assert_near(r.element_vectors[k], plain.element_vectors[k], 100 * apart);
         btfi_svd_free(ctx, &r);
         free(scaled.values);
       }

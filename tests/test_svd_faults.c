@@ -53,6 +53,57 @@ static void test_cancel(void **state) {
   test_context_done(ctx, &memory);
 }
 
+typedef struct every_report {
+  btfi_job *job;
+  long calls;
+  double last;
+} every_report;
+
+static int32_t watch_progress(void *user, double fraction, const char *stage) {
+  every_report *c = user;
+  (void)stage;
+  assert_true(fraction >= c->last && fraction <= 0.75 + 1e-12);
+  c->last = fraction;
+  c->calls++;
+  /* Reports are thinned by the clock: the last one seems long ago. */
+  c->job->last_report_ns -= (int64_t)3600 * 1000000000;
+  return 0;
+}
+
+/* Panels that grow towards a target, readings for residuals and for the scale: progress never goes back and
+ * ends where it shall. */
+static void test_progress(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  static const int exponents[] = {0, 70, -70};
+  for (size_t e = 0; e < 3; e++) {
+    matrix m = with_spectrum(600, 320, e == 0 ? spectrum_power : spectrum_fast, 5);
+    /* 1e-9 of the energy needs some 45 components of the fast spectrum, and a reading for the residual. */
+    const double target = e == 0 ? optimum(&m, 100) : 1e-9 * m.energy;
+    for (uint64_t k = 0; k < m.items * m.length; k++) m.values[k] = ldexpf(m.values[k], exponents[e]);
+    for (int tight = 0; tight < 3; tight++) {
+      btf_svd_desc desc = describe(&m, 150);
+      if (tight > 0) desc.max_working_set = smallest_budget(ctx, desc) + (tight == 1 ? 0 : 60000);
+      desc.target_residual = ldexp(target, 2 * exponents[e]);
+      btfi_job job;
+      every_report c = {&job, 0, 0.25};
+      btf_job user = BTF_JOB_INIT;
+      user.progress = watch_progress;
+      user.user = &c;
+      assert_ok(btfi_job_begin(ctx, &user, &job));
+      btf_svd_result r = fresh();
+      assert_ok(btfi_svd(ctx, &desc, &job.desc, 0.25, 0.75, &r));
+      assert_true(r.rank > 24);
+      assert_near(c.last, 0.75, 1e-12);
+      assert_true(c.calls >= 10); /* of reading, sample, passes and end */
+      btfi_svd_free(ctx, &r);
+    }
+    matrix_free(&m);
+  }
+  test_context_done(ctx, &memory);
+}
+
 static void test_read_failure(void **state) {
   (void)state;
   test_memory memory;
@@ -74,7 +125,15 @@ static void test_read_failure(void **state) {
       assert_null(r.element_vectors);
       assert_int_equal(m.reads, at);
     }
+    /* What the reader fails with is passed on, also where it is what an overflow would be. */
+    m.reads = 0;
+    m.fail_at = total;
+    m.fail_with = BTF_E_NUMERIC;
+    assert_status(btfi_svd(ctx, &desc, NULL, 0, 1, &r), BTF_E_NUMERIC);
+    assert_message_has("is gone");
+    assert_int_equal(m.reads, total);
     m.fail_at = 0;
+    m.fail_with = BTF_OK;
   }
   matrix_free(&m);
   test_context_done(ctx, &memory);
@@ -159,9 +218,8 @@ static void test_bad_arguments(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_cancel),
-      cmocka_unit_test(test_read_failure),
-      cmocka_unit_test(test_allocation_failure),
+      cmocka_unit_test(test_cancel),        cmocka_unit_test(test_progress),
+      cmocka_unit_test(test_read_failure),  cmocka_unit_test(test_allocation_failure),
       cmocka_unit_test(test_bad_arguments),
   };
   return btf_run("svd_faults", tests);

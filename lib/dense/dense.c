@@ -93,36 +93,58 @@ btf_status btfi_gram(btf_context *ctx, uint64_t rows, uint32_t columns, const fl
   return status;
 }
 
-btf_status btfi_symmetric_eigen(btf_context *ctx, uint32_t n, double *a, double *values) {
+bool btfi_is_finite(uint32_t n, const double *a, size_t ld) {
+  for (size_t i = 0; i < n; i++)
+    for (size_t j = 0; j < n; j++)
+      if (!(a[i * ld + j] - a[i * ld + j] == 0.0)) return false;
+  return true;
+}
+
+/* What dsyevd documents as enough. */
+static uint64_t eigen_reals(uint32_t n) {
+  return 1 + 6 * (uint64_t)n + 2 * (uint64_t)n * n;
+}
+static uint64_t eigen_integers(uint32_t n) {
+  return 3 + 5 * (uint64_t)n;
+}
+
+uint64_t btfi_eigen_room(uint32_t n) {
+  const uint64_t integers = eigen_integers(n) * sizeof(lapack_int);
+  if (!fits_int(n) || !fits_int(eigen_reals(n))) return 0;
+  return eigen_reals(n) + (integers + sizeof(double) - 1) / sizeof(double);
+}
+
+btf_status btfi_symmetric_eigen_in(btf_context *ctx, uint32_t n, double *a, size_t ld, double *values,
+                                   double *room) {
   if (n == 0) return BTF_OK;
-  if (!fits_int(n))
-    return btfi_fail(ctx, BTF_E_LIMIT, "eigenvectors: a matrix has more than %d rows", INT_MAX);
-  for (size_t i = 0; i < (size_t)n * n; i++)
-    if (!(a[i] - a[i] == 0.0)) return btfi_fail(ctx, BTF_E_NUMERIC, "eigenvectors: a matrix is not finite");
-  /* What dsyevd documents as enough, as the context's memory. */
-  const uint64_t reals = 1 + 6 * (uint64_t)n + 2 * (uint64_t)n * n, integers = 3 + 5 * (uint64_t)n;
-  if (!fits_int(reals))
+  if (btfi_eigen_room(n) == 0 || !fits_int(ld))
     return btfi_fail(ctx, BTF_E_LIMIT, "eigenvectors: a matrix of %u rows is too large for LAPACK", n);
-  double *const work = btfi_alloc(ctx, reals, sizeof *work);
-  lapack_int *const counts = work != NULL ? btfi_alloc(ctx, integers, sizeof *counts) : NULL;
-  lapack_int info = 0;
-  /* Column-major, the vectors are columns, which are rows here; LAPACK sorts upwards. */
-  if (counts != NULL)
-    info = LAPACKE_dsyevd_work(LAPACK_COL_MAJOR, 'V', 'L', (lapack_int)n, a, (lapack_int)n, values, work,
-                               (lapack_int)reals, counts, (lapack_int)integers);
-  const btf_status status = counts != NULL ? BTF_OK : btfi_alloc_status();
-  btfi_free(ctx, counts);
-  btfi_free(ctx, work);
-  BTFI_TRY(status);
-  if (info != 0)
+  const uint64_t reals = eigen_reals(n);
+  /* Column-major, the vectors are columns, which are rows here; LAPACK sorts upwards. The other forms of this
+   * call allocate what the context does not know of. */
+  if (LAPACKE_dsyevd_work(LAPACK_COL_MAJOR, 'V', 'L', (lapack_int)n, a, (lapack_int)ld, values, room,
+                          (lapack_int)reals, (lapack_int *)(void *)(room + reals),
+                          (lapack_int)eigen_integers(n)) != 0)
     return btfi_fail(ctx, BTF_E_NUMERIC, "eigenvectors: LAPACK found none of a matrix of %u rows", n);
   for (size_t i = 0, j = n - 1; i < j; i++, j--) {
     const double value = values[i];
     values[i] = values[j];
     values[j] = value;
-    cblas_dswap((int)n, a + i * n, 1, a + j * n, 1);
+    cblas_dswap((int)n, a + i * ld, 1, a + j * ld, 1);
   }
   return BTF_OK;
+}
+
+btf_status btfi_symmetric_eigen(btf_context *ctx, uint32_t n, double *a, double *values) {
+  if (n == 0) return BTF_OK;
+  if (btfi_eigen_room(n) == 0)
+    return btfi_fail(ctx, BTF_E_LIMIT, "eigenvectors: a matrix of %u rows is too large for LAPACK", n);
+  if (!btfi_is_finite(n, a, n)) return btfi_fail(ctx, BTF_E_NUMERIC, "eigenvectors: a matrix is not finite");
+  double *const room = btfi_alloc(ctx, btfi_eigen_room(n), sizeof *room);
+  if (room == NULL) return btfi_alloc_status();
+  const btf_status status = btfi_symmetric_eigen_in(ctx, n, a, n, values, room);
+  btfi_free(ctx, room);
+  return status;
 }
 
 btf_status btfi_cholesky(btf_context *ctx, uint32_t n, double *a) {

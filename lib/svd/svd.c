@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* svd.c: the truncated SVD as a whole: plan, passes until the estimate is met, result. */
+/* svd.c: the truncated SVD as a whole: passes until the estimate is met, and the result. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
@@ -20,171 +20,9 @@ static const double slowest_rate = 0.98;
 static const double float_resolution = 3e-7;
 
 enum {
-  BLOCK_BYTES = 20 << 20, /* met twice, so much of it should be in L3 still; wider ones read longer runs */
-  SMALLEST_BLOCK = 64,
-  LARGEST_BLOCK = 8192,
-  RUN = 32,
-  SAMPLE_MIN = 2048,
-  SAMPLE_MAX = 8192,
-  SAMPLE_PER_COLUMN = 112,
   FIRST_TARGET_RANK = 24,
   REFINE_GAIN = 10 /* what refining reduces an error by, or more */
 };
-
-static uint64_t round_up(uint64_t value, uint64_t grain) {
-  return (value + grain - 1) / grain * grain;
-}
-
-/* ---- plan ---- */
-
-static void shape_block(const btf_svd_desc *desc, svd_plan *plan, uint64_t items) {
-  plan->block_items = (size_t)items;
-  plan->block_count = (desc->items + items - 1) / items;
-  const size_t padded = (size_t)round_up(items, BTFI_SLAB_GRAIN);
-  if (desc->layout == BTF_LAYOUT_ITEM_ROWS) {
-    plan->block_ld = plan->length_padded + 16;
-    plan->block_floats = padded * plan->block_ld;
-  } else {
-    /* One more cache line, and never a power of two: rows would fall into the same sets of the cache. */
-    plan->block_ld = (size_t)round_up(padded, 16) + 16;
-    plan->block_floats = plan->length_padded * plan->block_ld;
-  }
-}
-
-/* Bytes beside the result with `blocks` blocks held; false beyond 64 bits. */
-static bool count_bytes(const btf_svd_desc *desc, const svd_plan *plan, uint64_t blocks, uint64_t *bytes) {
-  const uint64_t width = plan->width, padded = round_up(plan->block_items, BTFI_SLAB_GRAIN);
-  uint64_t held, surplus, panels;
-  if (!btfi_mul((uint64_t)plan->block_floats * sizeof(float), blocks + 1, &held)) return false;
-  if (!btfi_mul(desc->items, (width - plan->rank) * sizeof(float), &surplus)) return false;
-  if (!btfi_mul(plan->length_padded, (3 * width + 1) * sizeof(float), &panels)) return false;
-  const uint64_t both = 2 * width;
-  uint64_t second = 0;
-  if (plan->refine && !btfi_mul(desc->items + BTFI_SLAB_GRAIN, width * sizeof(float), &second)) return false;
-  if (plan->refine && !btfi_add(second, (SVD_WIDE * both + 4) * both * sizeof(double), &second)) return false;
-  if (!btfi_add(surplus, second, &surplus)) return false;
-  const uint64_t small =
-      (padded + BTFI_SLAB_GRAIN) * width * sizeof(float) + padded * sizeof(double) +
-      (SVD_SMALL * width + 5 + BTFI_MAX((uint64_t)SVD_GRAM_ROWS, width)) * width * sizeof(double) + 16 * 128;
-  return btfi_add(held, surplus, bytes) && btfi_add(*bytes, panels, bytes) && btfi_add(*bytes, small, bytes);
-}
-
-static btf_status make_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t rank, svd_plan *plan) {
-  const uint64_t smaller = BTFI_MIN(desc->items, desc->length);
-  /* Columns beyond the rank speed up convergence, and give strays room. */
-  const uint32_t spare = BTFI_MAX(8u, rank / 4);
-  memset(plan, 0, sizeof *plan);
-  plan->rank = rank;
-  plan->width = (uint32_t)round_up(BTFI_MIN(smaller, rank + spare), BTFI_PANEL_GRAIN);
-  plan->length_padded = (size_t)round_up(desc->length, BTFI_SLAB_GRAIN);
-
-  const uint64_t item_bytes = plan->length_padded * sizeof(float);
-  uint64_t run = BTFI_MIN(desc->block_items > 0 ? desc->block_items : RUN, desc->items), bytes;
-  uint64_t block =
-      BTFI_MAX((uint64_t)SMALLEST_BLOCK, BTFI_MIN((uint64_t)LARGEST_BLOCK, BLOCK_BYTES / item_bytes));
-  block = BTFI_MIN(BTFI_MAX(block / run, 1) * run, round_up(desc->items, run));
-  bool fits;
-  for (;;) {
-    shape_block(desc, plan, block);
-    fits = count_bytes(desc, plan, 0, &bytes) && bytes <= desc->max_working_set;
-    if (fits || block == 1) break;
-    /* Half the runs, and when one is left half the run. */
-    if (block > run) {
-      block = BTFI_MAX(block / run / 2, 1) * run;
-    } else {
-      run = (run + 1) / 2;
-      block = run;
-    }
-  }
-  if (!fits) {
-    plan->least_bytes = bytes;
-    return btfi_fail(ctx, BTF_E_LIMIT,
-                     "svd: a working set of %" PRIu64 " bytes is too small for %u components of %" PRIu64
-                     " x %" PRIu64 " values; at least %" PRIu64 " bytes are needed",
-                     desc->max_working_set, rank, desc->items, desc->length, bytes);
-  }
-  plan->run_items = (uint32_t)run;
-  /* The second image is worth its room where the sample keeps three quarters of it. */
-  plan->refine = true;
-  plan->refine = count_bytes(desc, plan, 0, &bytes) && bytes <= desc->max_working_set / 4;
-
-  plan->held = count_bytes(desc, plan, plan->block_count, &bytes) && bytes <= desc->max_working_set;
-  const uint64_t wanted =
-      BTFI_MIN(BTFI_MAX((uint64_t)SAMPLE_PER_COLUMN * plan->width, SAMPLE_MIN), SAMPLE_MAX);
-  uint64_t sample = (wanted + block - 1) / block;
-  if (plan->held) {
-    /* Whole blocks of a held matrix cost nothing, so take them all where that is hardly more work. */
-    plan->sample_blocks = sample * 2 > plan->block_count ? plan->block_count : sample;
-  } else {
-    const uint64_t full_blocks = desc->items / block;
-    sample = BTFI_MIN(sample, BTFI_MAX(full_blocks / 4, 1));
-    sample = BTFI_MIN(sample, full_blocks);
-    while (sample > 0 && !(count_bytes(desc, plan, sample, &bytes) && bytes <= desc->max_working_set))
-      sample--;
-    if (sample * block < plan->width + 16) sample = 0;
-    plan->sample_blocks = sample;
-  }
-  return count_bytes(desc, plan, plan->held ? plan->block_count : plan->sample_blocks, &plan->bytes)
-             ? BTF_OK
-             : btfi_fail(ctx, BTF_E_LIMIT, "svd: the matrix is too large to address");
-}
-
-/* ---- state ---- */
-
-static void end_state(svd_state *s) {
-  btfi_free(s->ctx, s->blocks);
-  btfi_free(s->ctx, s->window);
-  btfi_free(s->ctx, s->projection);
-  btfi_free(s->ctx, s->basis);
-  btfi_free(s->ctx, s->image);
-  btfi_free(s->ctx, s->second_projection);
-  btfi_free(s->ctx, s->wide);
-  btfi_free(s->ctx, s->packed_basis);
-  btfi_free(s->ctx, s->packed_projection);
-  btfi_free(s->ctx, s->direction);
-  btfi_free(s->ctx, s->norms);
-  btfi_free(s->ctx, s->small);
-  btfi_free(s->ctx, s->rows);
-  btfi_free(s->ctx, s->theta);
-  s->blocks = s->window = s->projection = s->basis = s->image = NULL;
-  s->second_projection = NULL;
-  s->wide = NULL;
-  s->packed_basis = s->packed_projection = s->direction = NULL;
-  s->norms = s->small = s->rows = s->theta = NULL;
-  s->loaded = false;
-}
-
-static btf_status begin_state(svd_state *s) {
-  const svd_plan *plan = &s->plan;
-  const uint64_t width = plan->width, padded = round_up(plan->block_items, BTFI_SLAB_GRAIN);
-  const uint64_t panel = plan->length_padded * width * sizeof(float);
-  const uint64_t kept_blocks = plan->held ? plan->block_count : plan->sample_blocks;
-  if ((s->window = btfi_alloc(s->ctx, plan->block_floats, sizeof(float))) == NULL ||
-      (s->blocks = btfi_alloc(s->ctx, plan->block_floats * sizeof(float), kept_blocks)) == NULL ||
-      (s->projection = btfi_alloc(s->ctx, s->desc->items + BTFI_SLAB_GRAIN, width * sizeof(float))) == NULL ||
-      (s->basis = btfi_alloc(s->ctx, panel, 1)) == NULL ||
-      (s->image = btfi_alloc(s->ctx, panel, 1)) == NULL ||
-      (s->packed_basis = btfi_alloc(s->ctx, panel, 1)) == NULL ||
-      (s->packed_projection = btfi_alloc(s->ctx, padded * width, sizeof(float))) == NULL ||
-      (s->direction = btfi_alloc(s->ctx, plan->length_padded, sizeof(float))) == NULL ||
-      (s->norms = btfi_alloc(s->ctx, padded, sizeof(double))) == NULL ||
-      (s->small = btfi_alloc(s->ctx, SVD_SMALL * width * width, sizeof(double))) == NULL ||
-      (s->rows = btfi_alloc(s->ctx, BTFI_MAX((uint64_t)SVD_GRAM_ROWS, width) * width, sizeof(double))) ==
-          NULL ||
-      (s->theta = btfi_alloc(s->ctx, 5 * width, sizeof(double))) == NULL)
-    return btfi_alloc_status();
-  s->previous = s->theta + 4 * width;
-  const uint64_t both = 2 * width;
-  if (plan->refine && ((s->second_projection = btfi_alloc(s->ctx, s->desc->items + BTFI_SLAB_GRAIN,
-                                                          width * sizeof(float))) == NULL ||
-                       (s->wide = btfi_alloc(s->ctx, (SVD_WIDE * both + 4) * both, sizeof(double))) == NULL))
-    return btfi_alloc_status();
-  btfi_svd_clear_block(s, s->window);
-  for (uint64_t b = 0; b < kept_blocks; b++) btfi_svd_clear_block(s, s->blocks + b * plan->block_floats);
-  return BTF_OK;
-}
-
-/* ---- passes ---- */
 
 /* What further passes would gain, from what the half step from P to C gained. The part of a right singular
  * vector that leaks to one of squared value mu loses the factor mu / ritz[i] with each half step, and what it
@@ -234,7 +72,7 @@ static btf_status converge(svd_state *s) {
   /* A sample of the whole matrix has left slow leaks only. */
   bool refined = true, sampled = !s->plan.held || s->plan.sample_blocks < s->plan.block_count;
   for (int pass = 0; pass < SVD_MAX_PASSES; pass++) {
-    const double last = first + 0.6 * (0.98 - first), rest_before = fmax(0, s->energy - after);
+    const double last = first + 0.6 * (0.9 - first), rest_before = fmax(0, s->energy - after);
     double *previous = s->previous;
     const uint32_t rank = s->plan.rank;
     if (pass > 0) memcpy(previous, s->ritz, rank * sizeof(double));
@@ -246,8 +84,6 @@ static btf_status converge(svd_state *s) {
       BTFI_TRY(btfi_svd_refine(s, first, last));
     } else {
       BTFI_TRY(btfi_svd_pass(s, first, last, &missed));
-      /* Each direction that strays have in common would put one of the present ones out. */
-      if (s->found >= rank) missed = fmax(0, missed - s->ritz[rank - 1]);
       memcpy(previous, s->ritz_before, rank * sizeof(double));
     }
     first = last;
@@ -365,32 +201,38 @@ static btf_status make_result(svd_state *s, btf_svd_result *out) {
 static btf_status decompose(svd_state *s, btf_svd_result *out) {
   const double target = s->desc->target_residual;
   uint32_t rank = target > 0 ? BTFI_MIN(s->largest_rank, (uint32_t)FIRST_TARGET_RANK) : s->largest_rank;
+  const double end = s->to;
   for (;;) {
-    const btf_status planned = make_plan(s->ctx, s->desc, rank, &s->plan);
+    /* An attempt that may not be the last leaves half of the way to the others. */
+    s->to = target > 0 && rank < s->largest_rank ? 0.5 * (s->from + end) : end;
+    const btf_status planned = btfi_svd_plan(s->ctx, s->desc, rank, &s->plan);
     if (planned != BTF_OK) {
       /* With what this rank needs a target might fail at the next one: tell what is enough for all. */
-      if (rank < s->largest_rank) (void)make_plan(s->ctx, s->desc, s->largest_rank, &s->plan);
+      if (rank < s->largest_rank) (void)btfi_svd_plan(s->ctx, s->desc, s->largest_rank, &s->plan);
       return planned;
     }
-    BTFI_TRY(begin_state(s));
+    BTFI_TRY(btfi_svd_begin_state(s));
     btfi_random_seed(&s->random, s->desc->seed);
     const uint32_t passes = s->passes;
     BTFI_TRY(converge(s));
     if (s->plan.held) s->passes = passes + 1;
     const bool promised = s->sample_rest <= 1.05 * target || rank == s->largest_rank;
     if (target > 0 && !promised) {
-      end_state(s);
+      btfi_svd_end_state(s);
+      s->from = s->reached;
       rank = BTFI_MIN(s->largest_rank, rank * 2);
       continue;
     }
     BTFI_TRY(make_result(s, out));
     if (!(target > 0) || out->residual <= target || rank == s->largest_rank || out->rank < rank) break;
     btfi_svd_free(s->ctx, out);
-    end_state(s);
+    btfi_svd_end_state(s);
+    s->from = s->reached;
     rank = BTFI_MIN(s->largest_rank, rank + rank / 2 + 8);
   }
   out->passes = s->passes;
-  return btfi_progress(s->job, s->to, "svd");
+  s->to = end;
+  return btfi_svd_report(s, 1);
 }
 
 /* Squares of values below this, on average, would come near the lower end of float's range. */
@@ -399,17 +241,20 @@ static const double smallest_mean_square = 1e-30;
 /* The decomposition of values whose squares float cannot hold, by a power of two, which rounds nothing. Only
  * such a matrix is read once more for it. */
 static btf_status decompose_scaled(svd_state *s, btf_svd_desc *desc, btf_svd_result *out) {
+  const double to = s->to;
   const btf_status status = decompose(s, out);
   const double values = (double)desc->items * (double)desc->length;
-  const bool small = status == BTF_OK && out->energy < smallest_mean_square * values;
+  const bool small = (status == BTF_OK || s->lost) && s->energy < smallest_mean_square * values;
   float largest;
-  if (status != BTF_E_NUMERIC && !small) return status;
+  if (!s->overflowed && !small) return status;
   BTFI_TRY(btfi_svd_find_largest(s, &largest));
   if (largest == 0) return status;
   frexpf(largest, &s->exponent);
   btfi_svd_free(s->ctx, out);
-  end_state(s);
-  s->from = s->to; /* progress never goes back */
+  btfi_svd_end_state(s);
+  s->overflowed = false;
+  s->from = s->reached; /* progress never goes back */
+  s->to = to;
   desc->target_residual = ldexp(desc->target_residual, -2 * s->exponent);
   BTFI_TRY(decompose(s, out));
   for (uint32_t k = 0; k < out->rank; k++) out->sigma[k] = ldexp(out->sigma[k], s->exponent);
@@ -465,10 +310,10 @@ btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *user, const btf_job *j
   if (desc.max_working_set == 0) desc.max_working_set = default_working_set;
   if (desc.tolerance == 0) desc.tolerance = default_tolerance;
 
-  svd_state s = {.ctx = ctx, .desc = &desc, .job = job, .from = from, .to = to};
+  svd_state s = {.ctx = ctx, .desc = &desc, .job = job, .from = from, .to = to, .reached = from};
   s.largest_rank = (uint32_t)BTFI_MIN((uint64_t)desc.rank, BTFI_MIN(desc.items, desc.length));
   btf_status status = decompose_scaled(&s, &desc, &result);
-  end_state(&s);
+  btfi_svd_end_state(&s);
   if (status == BTF_OK)
     status = btfi_copy_out(ctx, "btf_svd_result", out, BTFI_SIZE_TO(btf_svd_result, residual), &result,
                            sizeof result);

@@ -6,6 +6,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "dense/dense.h"
 #include "svd/svd_state.h"
 
 /* Squared ratio below which a direction of a float panel is rounding: (3e-7)^2. */
@@ -32,31 +33,16 @@ void btfi_svd_gram(svd_state *s, const float *panel, size_t rows, double *gram) 
   }
 }
 
+btf_status btfi_svd_not_finite(svd_state *s) {
+  s->overflowed = true;
+  return btfi_fail(s->ctx, BTF_E_NUMERIC,
+                   "svd: the matrix has values that are not finite or beyond float's range");
+}
+
 /* Eigenvalues, descending, and row-major eigenvectors in columns, in place. */
 static btf_status eigen(svd_state *s, double *a, uint32_t n, uint32_t ld, double *values) {
-  if (n == 0) return BTF_OK;
-  /* A symmetric matrix is its own transpose: column-major calls spare LAPACKE's copies, and leave vector i in
-   * row i. */
-  const lapack_int info =
-      LAPACKE_dsyevd(LAPACK_COL_MAJOR, 'V', 'U', (lapack_int)n, a, (lapack_int)ld, values);
-  if (info == LAPACK_WORK_MEMORY_ERROR)
-    return btfi_fail(s->ctx, BTF_E_NOMEM, "svd: no memory for the eigenvectors of a %u x %u matrix", n, n);
-  if (info != 0)
-    return btfi_fail(s->ctx, BTF_E_NUMERIC,
-                     "svd: the matrix has values that are not finite or beyond float's range");
-  for (uint32_t i = 0; i < n / 2; i++) {
-    const double value = values[i];
-    values[i] = values[n - 1 - i];
-    values[n - 1 - i] = value;
-  }
-  for (uint32_t i = 0; i < n / 2; i++) {
-    for (uint32_t j = 0; j < n; j++) {
-      double *low = a + (size_t)i * ld + j, *high = a + (size_t)(n - 1 - i) * ld + j;
-      const double value = *low;
-      *low = *high;
-      *high = value;
-    }
-  }
+  if (!btfi_is_finite(n, a, ld)) return btfi_svd_not_finite(s);
+  BTFI_TRY(btfi_symmetric_eigen_in(s->ctx, n, a, ld, values, s->rows));
   for (uint32_t i = 0; i < n; i++) {
     for (uint32_t j = 0; j < i; j++) {
       const double value = a[(size_t)i * ld + j];
@@ -73,9 +59,7 @@ static btf_status whitening(svd_state *s, uint32_t width, double *gram, double *
                             double *values, double threshold, uint32_t *kept, double *spread) {
   double largest = 0;
   for (uint32_t i = 0; i < width; i++) largest = fmax(largest, gram[(size_t)i * width + i]);
-  if (!isfinite(largest))
-    return btfi_fail(s->ctx, BTF_E_NUMERIC,
-                     "svd: the matrix has values that are not finite or beyond float's range");
+  if (!isfinite(largest)) return btfi_svd_not_finite(s);
   for (uint32_t i = 0; i < width; i++) {
     const double square = gram[(size_t)i * width + i];
     scale[i] = square > resolution * largest && square > 0 ? 1 / sqrt(square) : 0;
@@ -181,12 +165,16 @@ btf_status btfi_svd_straighten(svd_state *s, float *panel, size_t rows, uint32_t
   for (uint32_t i = 0; i < columns; i++) {
     for (uint32_t j = 0; j < columns; j++) worst = fmax(worst, fabs(gram[(size_t)i * width + j] - (i == j)));
   }
+  if (!btfi_is_finite(columns, gram, width)) return btfi_svd_not_finite(s);
   if (worst <= 5e-7) return BTF_OK;
   /* Cholesky keeps the order: a weak vector gives way to a strong one and never the other way, which would
    * put the weak one's rounding into the strong one's place. */
-  if (LAPACKE_dpotrf(LAPACK_ROW_MAJOR, 'U', (lapack_int)columns, gram, (lapack_int)width) != 0 ||
-      LAPACKE_dtrtri(LAPACK_ROW_MAJOR, 'U', 'N', (lapack_int)columns, gram, (lapack_int)width) != 0)
+  /* The upper half by rows is the lower half by columns, which LAPACKE need not copy. */
+  if (LAPACKE_dpotrf(LAPACK_COL_MAJOR, 'L', (lapack_int)columns, gram, (lapack_int)width) != 0 ||
+      LAPACKE_dtrtri(LAPACK_COL_MAJOR, 'L', 'N', (lapack_int)columns, gram, (lapack_int)width) != 0) {
+    s->lost = true;
     return btfi_fail(s->ctx, BTF_E_NUMERIC, "svd: singular vectors lost their orthogonality");
+  }
   for (uint32_t i = 0; i < columns; i++) {
     for (uint32_t j = 0; j < i; j++) gram[(size_t)i * width + j] = 0;
   }

@@ -25,11 +25,14 @@ typedef struct svd_state {
   btf_context *ctx;
   const btf_svd_desc *desc;
   const btf_job *job;
-  double from, to;
+  double from, to; /* progress of the attempt at hand */
+  double reached;  /* the last that was reported */
   btfi_random random;
   svd_plan plan;
   uint32_t largest_rank; /* wanted, as far as the matrix can have it */
   int exponent;          /* values are read times 2^-exponent */
+  bool overflowed;       /* values, or their squares, were beyond float's range */
+  bool lost;             /* singular vectors were not orthogonal, as where squares fall below float's range */
 
   float *blocks;            /* the held matrix or the sample */
   float *window;            /* the block last read, unless the matrix is held */
@@ -43,7 +46,7 @@ typedef struct svd_state {
   double *norms;    /* squared norm of each item of the block at hand */
   double *small;    /* SVD_SMALL matrices of width x width */
   double *wide;     /* SVD_WIDE matrices of twice the width, and four rows of it; where the plan refines */
-  double *rows;     /* max(SVD_GRAM_ROWS, width) x width */
+  double *rows;     /* scratch: max(SVD_GRAM_ROWS, width) x width, and for LAPACK */
   double *theta;    /* 5 x width */
   double *previous; /* the last part of it: Ritz values before the step at hand */
 
@@ -52,6 +55,7 @@ typedef struct svd_state {
   double sample_rest; /* squared residual that the sample promises at `rank`; 0 without a sample */
   double mean_rest;   /* squared distance of an item from the basis, on average, as far as known */
   uint32_t passes;
+  uint32_t readings;                     /* the same, of the attempt at hand */
   uint32_t partial_first, partial_count; /* columns of C that strays took up on the way */
 
   /* Outcome of the last Rayleigh-Ritz step. */
@@ -66,8 +70,16 @@ enum {
   SVD_GRAM_ROWS = 512, /* rows taken at once where a panel is met in double */
   SVD_SMALL = 8,
   SVD_WIDE = 5,
+  SVD_STRAY_COLUMNS = 32,
   SVD_MAX_PASSES = 40
 };
+
+/* ---- svd_plan.c ---- */
+
+btf_status btfi_svd_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t rank, svd_plan *plan);
+/* Allocates what the plan says; the end frees it, also after a failure. */
+btf_status btfi_svd_begin_state(svd_state *s);
+void btfi_svd_end_state(svd_state *s);
 
 /* ---- svd_blocks.c ---- */
 
@@ -85,6 +97,8 @@ btf_status btfi_svd_read_sample(svd_state *s);
 
 /* ---- svd_ritz.c ---- */
 
+/* Fails for values, or squares of them, that float does not hold. */
+btf_status btfi_svd_not_finite(svd_state *s);
 /* gram (columns x columns, row-major) = panel^T panel in double. */
 void btfi_svd_gram(svd_state *s, const float *panel, size_t rows, double *gram);
 /* Makes the columns of a panel orthonormal; those without a direction of their own become zero and move
@@ -109,10 +123,36 @@ btf_status btfi_svd_start(svd_state *s);
  * `slot`. False if nothing is left of it. */
 bool btfi_svd_set_direction(svd_state *s, float *direction, uint32_t slot);
 
+/* ---- svd_strays.c ---- */
+
+/* Columns of the basis beyond the rank that are given away during a pass. */
+typedef struct svd_strays {
+  bool watch;
+  uint32_t first, count;  /* columns that may be taken */
+  uint32_t filled, next;  /* in use; where the search for one to give up starts */
+  uint32_t taken, trials; /* strays, and items of the crowd, taken up so far */
+  bool refused;           /* a trial found no column */
+  double stray_floor;     /* rest that makes an item a stray */
+  double crowd_floor;     /* rest that makes it one of the crowd */
+  double missed;          /* rest of strays that found no column */
+  double crowd, tried;    /* rest of the crowd so far; as much of it as trials answer for */
+  bool trial[SVD_STRAY_COLUMNS];
+  double energy[SVD_STRAY_COLUMNS]; /* captured along each */
+  double before[SVD_STRAY_COLUMNS]; /* rest of the crowd in the blocks before */
+} svd_strays;
+
+void btfi_svd_strays_begin(const svd_state *s, svd_strays *strays);
+/* Takes up what stands out of a block whose rows of C and norms are known. */
+void btfi_svd_strays_take(svd_state *s, svd_strays *strays, const btfi_slab *slab, uint64_t row,
+                          uint64_t items);
+/* Energy that unforeseen directions may have beside what the Ritz values have of them. */
+double btfi_svd_strays_missed(const svd_state *s, const svd_strays *strays);
+
 /* ---- svd_pass.c ---- */
 
 /* One reading of the matrix: C = M P with strays taken up, Y = M^T C, Ritz values, and the next basis.
- * *missed is the energy of strays that found no column. Progress goes from first to last, within 0..1. */
+ * *missed is what strays may have that found no column or found it late. Progress goes from first to last,
+ * within 0..1. */
 btf_status btfi_svd_pass(svd_state *s, double first, double last, double *missed);
 /* One reading after a pass: the image of the new basis, and Ritz values in both bases together. */
 btf_status btfi_svd_refine(svd_state *s, double first, double last);
@@ -123,6 +163,7 @@ btf_status btfi_svd_explicit_rest(svd_state *s, double first, double last, doubl
 void btfi_svd_pack_projection(svd_state *s, uint64_t row, uint64_t items, const btfi_slab *slab);
 /* Turns Y into the right Ritz vectors, which become the basis. */
 btf_status btfi_svd_next_basis(svd_state *s);
-btf_status btfi_svd_report(const svd_state *s, double fraction);
+/* Progress within the attempt at hand, 0..1. */
+btf_status btfi_svd_report(svd_state *s, double fraction);
 
 #endif
