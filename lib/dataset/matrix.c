@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 /* matrix.c: a data set read as a matrix, in the direction that its samples lie in. */
 #include "dataset/matrix.h"
+#include "dataset/dataset_parts.h"
 
 #include <string.h>
 
@@ -15,6 +16,7 @@ static btf_status measure_shape(btf_context *ctx, const btf_dataset *ds, const b
   memset(out, 0, sizeof *out);
   out->ctx = ctx;
   out->ds = ds;
+  out->reads_file = ds->reads_file;
   out->views = btf_dirset_count(desc->views);
   out->lights = btf_dirset_count(desc->lights);
   out->channels = desc->channels;

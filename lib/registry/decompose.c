@@ -25,14 +25,16 @@ static double bytes_needed(const btfi_matrix *m, bool by_image, uint32_t rank, d
   return sizeof(float) * (length * (3 * width + 1 + fmin(items_at_once, items)) + items * spare);
 }
 
-/* A sample of texels tells more of B than a sample of images, and a mapping gives either. But a stream has to
+/* Runs of a few texels cost a call each where a file is read, so images come first there.
+ * A sample of texels tells more of B than a sample of images, and a mapping gives either. But a stream has to
  * be taken as it comes, unless that does not fit. What is held may be read either way, and sums over items
  * are in float: the fewer, the better. */
 static bool prefers_images(const btfi_matrix *as_it_lies, const btf_dataset_desc *desc, uint32_t rank,
                            uint64_t budget) {
   enum { FULL_BLOCK = 64 };
   if (btfi_matrix_is_held(as_it_lies, budget)) return as_it_lies->by_image;
-  const bool stream = desc->data == NULL, images = stream && as_it_lies->by_image;
+  const bool stream = desc->data == NULL;
+  const bool images = (stream || as_it_lies->reads_file) && as_it_lies->by_image;
   /* Half is for the sample: without one, readings are many. */
   const double room = stream ? (double)budget : (double)budget / 2, block = stream ? 1 : FULL_BLOCK;
   const double wanted = bytes_needed(as_it_lies, images, rank, block);
