@@ -3,6 +3,8 @@
 #include "btf_test.h"
 
 #include <pthread.h>
+#include <stdatomic.h>
+#include <time.h>
 
 #include "registry/registry.h"
 
@@ -303,6 +305,82 @@ static void memory_runs_out(void **state) {
     }
 }
 
+/* ---- texels without end, and slow ones ---- */
+
+static btf_status read_zeros(void *user, const btf_block *b, void *dst, const btf_strides *s) {
+  (void)user;
+  (void)s; /* dense */
+  memset(dst, 0, (size_t)b->views * b->lights * b->width * b->height);
+  return BTF_OK;
+}
+
+typedef struct counted {
+  atomic_ullong visits;
+  long texel_ns;
+} counted;
+
+static void count_visit(void *user, uint32_t level, uint32_t x, uint32_t y, const float *abrdf,
+                        uint32_t thread) {
+  counted *c = user;
+  const struct timespec pause = {0, c->texel_ns};
+  (void)level, (void)x, (void)y, (void)abrdf, (void)thread;
+  if (c->texel_ns > 0) nanosleep(&pause, NULL);
+  atomic_fetch_add(&c->visits, 1);
+}
+
+static int32_t cancel_once_begun(void *user, double fraction, const char *stage) {
+  (void)user;
+  (void)stage;
+  return fraction > 0.0;
+}
+
+static btf_status visit_zeros(uint32_t side, uint64_t budget, counted *c) {
+  const btf_limits limits = {.struct_size = sizeof limits, .max_memory = (uint64_t)1 << 30};
+  btf_context_desc settings = BTF_CONTEXT_DESC_INIT;
+  btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+  btf_job job = BTF_JOB_INIT;
+  btfi_job running;
+  btf_dirset *one;
+  btf_dataset *ds;
+  btf_context *ctx;
+  settings.max_threads = 2;
+  settings.limits = &limits;
+  assert_ok(btf_context_create(&settings, &ctx));
+  assert_ok(btf_dirset_create_named(ctx, "grid:1x1", &one));
+  desc.lights = desc.views = one;
+  desc.width = desc.height = side;
+  desc.channels = 1;
+  desc.sample_type = BTF_SAMPLE_U8;
+  desc.read = read_zeros;
+  assert_ok(btf_dataset_create(ctx, &desc, &ds));
+  job.progress = cancel_once_begun;
+  assert_ok(btfi_job_begin(ctx, &job, &running));
+  const btf_status status =
+      btfi_host()->visit_abrdfs(ctx, ds, 0, budget, count_visit, c, &running.desc, 0.0, 1.0, "visit");
+  btf_dataset_release(ds);
+  btf_dirset_release(one);
+  btf_context_release(ctx);
+  return status;
+}
+
+/* 2^32 texels, and a budget for all of them at once. */
+static void slabs_are_counted_in_32_bits(void **state) {
+  counted c = {0};
+  (void)state;
+  assert_status(visit_zeros(65536, (uint64_t)1 << 36, &c), BTF_E_CANCELLED);
+  assert_true(atomic_load(&c.visits) > 0);
+}
+
+/* A texel takes 40 ms or more. The first round is one for each of two threads and the next ones take 50 ms or
+ * one for each again: those begun within the 100 ms that lie between two reports are 3 rounds of at most 3.
+ */
+static void slow_texels_hold_up_no_cancel(void **state) {
+  counted c = {.texel_ns = 40000000};
+  (void)state;
+  assert_status(visit_zeros(64, 0, &c), BTF_E_CANCELLED);
+  assert_in_range(atomic_load(&c.visits), 1, 9);
+}
+
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(levels_are_filtered_textures),
@@ -310,6 +388,8 @@ int main(void) {
       cmocka_unit_test(budget_is_kept),
       cmocka_unit_test(progress_cancel_and_failure),
       cmocka_unit_test(memory_runs_out),
+      cmocka_unit_test(slabs_are_counted_in_32_bits),
+      cmocka_unit_test(slow_texels_hold_up_no_cancel),
   };
   return btf_run("visit", tests);
 }

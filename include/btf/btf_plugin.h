@@ -182,10 +182,11 @@ typedef struct btf_host {
   btf_status (*cholesky_solve)(btf_context *ctx, uint32_t n, const double *factor, uint32_t columns, double *b);
 
   /* The data set as a matrix of a row for each (view, light, channel), channel fastest, and a column for each texel, x
-   * fastest. Both read it in the direction its samples lie in, and within max_working_set (0 = 1 GiB).
-   * measure: energy, peak and, unless it is NULL, the mean of each row, in one reading.
+   * fastest. Both stay within max_working_set (0 = 1 GiB).
+   * measure: energy, peak and, unless it is NULL, the mean of each row, in one reading in the direction the samples lie
+   * in. It takes 4 MiB and a few rows or columns at least.
    * svd_dataset: svd of the matrix, with `mean` (or NULL) taken from each row; items are texels and elements are rows
-   * in the result. Of desc, items, length, read, user, layout and block_items are not looked at. */
+   * in the result. It is read by texels or by images, as the budget suits; least_working_set is that of the better. Of desc, items, length, read, user, layout and block_items are not looked at. */
   btf_status (*measure)(btf_context *ctx, const btf_dataset *ds, uint64_t max_working_set, float *mean,
                         btf_statistics *out, const btf_job *job, double from, double to);
   btf_status (*svd_dataset)(btf_context *ctx, const btf_dataset *ds, const float *mean, const btf_svd_desc *desc,

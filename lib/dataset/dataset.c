@@ -215,10 +215,14 @@ static btf_status fill(btf_dataset *ds, const btf_dataset_desc *desc, const char
 
 static void drop(btf_dataset *ds) {
   btf_context *ctx = ds->ctx;
-  if (ds->desc.lights) btfi_dataset_free_texts(ctx, &ds->desc);
-  btfi_free(ctx, ds->light_weights);
-  btfi_free(ctx, ds->label);
-  btfi_unmap(&ds->mapping);
+  if (ds->whole) {
+    btf_dataset_release(ds->whole);
+  } else {
+    if (ds->desc.lights) btfi_dataset_free_texts(ctx, &ds->desc);
+    btfi_free(ctx, ds->light_weights);
+    btfi_free(ctx, ds->label);
+    btfi_unmap(&ds->mapping);
+  }
   pthread_mutex_destroy(&ds->one_reader);
   btfi_free(ctx, ds);
   btf_context_release(ctx);

@@ -16,9 +16,10 @@ struct btf_dataset {
   btf_interp *
       light_weights; /* views x lights: where a sample lies in its view's own list; NULL without such lists */
   btfi_mapping mapping;
-  atomic_ullong pages_kept;    /* bytes of the mapping that may stay resident; 0 = any number */
-  atomic_ullong piece_bytes;   /* most bytes that are read from a source at once; 0 = 16 MiB */
-  atomic_ullong bytes_touched; /* since pages were last let go */
+  /* Of a reader within a bound (bounded.c): the data set that owns all of the above, and its share. */
+  btf_dataset *whole;
+  uint64_t piece_bytes; /* most bytes that are read from a source at once; 0 = 16 MiB */
+  bool reads_file;      /* instead of its mapping */
   pthread_mutex_t one_reader;
   atomic_uint references;
 };
@@ -39,6 +40,8 @@ btf_strides btfi_dense_strides(const btf_dataset_desc *desc, uint32_t order, ptr
  */
 btf_status btfi_read_samples(const btf_dataset *ds, const btf_block *block, float *dst,
                              const btf_strides *strides);
+/* bounded.c: a block of the mapped file to dense samples in the file's own order, run by run. */
+btf_status btfi_read_runs(const btf_dataset *ds, const btf_block *block, void *dst);
 /* Whether a block lies within the data set and the strides on the floats' side are fit to be used. */
 btf_status btfi_dataset_check_block(btf_context *ctx, const char *label, const btf_dataset_desc *d,
                                     const btf_block *b, const btf_strides *s, bool writes_floats);

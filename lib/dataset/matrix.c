@@ -1,42 +1,60 @@
 /* SPDX-License-Identifier: MIT */
 /* matrix.c: a data set read as a matrix, in the direction that its samples lie in. */
 #include "dataset/matrix.h"
+#include "dataset/dataset_parts.h"
 
 #include <string.h>
 
-enum { SMALL_BUDGET = 1 << 30 };
+static bool lies_by_image(const btf_dataset_desc *desc) {
+  return (desc->flags & BTF_DATASET_IMAGE_MAJOR) != 0 ||
+         (desc->data != NULL && desc->strides.view > desc->strides.y && desc->strides.view > desc->strides.x);
+}
 
-btf_status btfi_matrix_open(btf_context *ctx, const btf_dataset *ds, uint64_t max_working_set,
-                            btfi_matrix *out) {
-  btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+static btf_status measure_shape(btf_context *ctx, const btf_dataset *ds, const btf_dataset_desc *desc,
+                                btfi_matrix *out) {
   uint64_t samples;
   memset(out, 0, sizeof *out);
-  BTFI_TRY(btf_dataset_describe(ds, &desc));
   out->ctx = ctx;
   out->ds = ds;
-  out->views = btf_dirset_count(desc.views);
-  out->lights = btf_dirset_count(desc.lights);
-  out->channels = desc.channels;
-  out->width = desc.width;
-  out->height = desc.height;
-  out->texels = (uint64_t)desc.width * desc.height;
+  out->reads_file = ds->reads_file;
+  out->views = btf_dirset_count(desc->views);
+  out->lights = btf_dirset_count(desc->lights);
+  out->channels = desc->channels;
+  out->width = desc->width;
+  out->height = desc->height;
+  out->texels = (uint64_t)desc->width * desc->height;
   if (__builtin_mul_overflow((uint64_t)out->views * out->lights, (uint64_t)out->channels, &out->rows) ||
       __builtin_mul_overflow(out->rows, out->texels, &samples) || samples > UINT64_MAX / sizeof(float))
     return btfi_fail(ctx, BTF_E_LIMIT, "the data set has more samples than 64 bits can count");
-  const bool image_major =
-      (desc.flags & BTF_DATASET_IMAGE_MAJOR) != 0 ||
-      (desc.data != NULL && desc.strides.view > desc.strides.y && desc.strides.view > desc.strides.x);
-  /* A sample of texels tells more of B than a sample of images. But a stream of images has to be taken as it
-   * comes, and texels picked from mapped images make all of the mapping resident. */
-  out->by_image = image_major && (desc.data == NULL || max_working_set < SMALL_BUDGET);
-  /* What is read once and held may be read either way. The decomposition adds up over items in float: the
-   * fewer, the better. */
-  if (samples <= max_working_set / 2 / sizeof(float)) out->by_image = out->rows <= out->texels;
-  out->layout = image_major && !out->by_image ? BTF_LAYOUT_ITEM_COLUMNS : BTF_LAYOUT_ITEM_ROWS;
-  out->items = out->by_image ? out->rows : out->texels;
-  out->length = out->by_image ? out->texels : out->rows;
-  out->block_items = out->by_image ? out->channels : desc.data == NULL ? desc.width : 0;
   return BTF_OK;
+}
+
+static void take_direction(btfi_matrix *m, const btf_dataset_desc *desc, bool by_image) {
+  m->by_image = by_image;
+  m->layout = lies_by_image(desc) && !by_image ? BTF_LAYOUT_ITEM_COLUMNS : BTF_LAYOUT_ITEM_ROWS;
+  m->items = by_image ? m->rows : m->texels;
+  m->length = by_image ? m->texels : m->rows;
+  m->block_items = by_image ? m->channels : desc->data == NULL ? m->width : 0;
+}
+
+btf_status btfi_matrix_open_by(btf_context *ctx, const btf_dataset *ds, bool by_image, btfi_matrix *out) {
+  const btf_dataset_desc *desc = btfi_dataset_desc(ds);
+  BTFI_TRY(measure_shape(ctx, ds, desc, out));
+  take_direction(out, desc, by_image);
+  return BTF_OK;
+}
+
+btf_status btfi_matrix_open(btf_context *ctx, const btf_dataset *ds, uint64_t max_working_set,
+                            btfi_matrix *out) {
+  const btf_dataset_desc *desc = btfi_dataset_desc(ds);
+  BTFI_TRY(measure_shape(ctx, ds, desc, out));
+  take_direction(out, desc,
+                 btfi_matrix_is_held(out, max_working_set) ? out->rows <= out->texels : lies_by_image(desc));
+  return BTF_OK;
+}
+
+bool btfi_matrix_is_held(const btfi_matrix *m, uint64_t max_working_set) {
+  return m->rows * m->texels <= max_working_set / 2 / sizeof(float);
 }
 
 void btfi_matrix_close(btfi_matrix *matrix) {

@@ -14,6 +14,7 @@ typedef struct btfi_matrix {
   const btf_dataset *ds;
   uint32_t views, lights, channels, width, height;
   bool by_image;
+  bool reads_file;        /* run by run, not through a mapping */
   uint32_t layout;        /* BTF_LAYOUT_* of what is read */
   uint64_t rows, texels;  /* of the matrix */
   uint64_t items, length; /* of what is read: (rows, texels) or (texels, rows) */
@@ -22,8 +23,12 @@ typedef struct btfi_matrix {
   float *partial;         /* channels x texels, for reads that begin or end within a pixel's channels */
 } btfi_matrix;
 
+/* In the direction that its samples lie in; one that a decomposition may hold, with the fewer items. */
 btf_status btfi_matrix_open(btf_context *ctx, const btf_dataset *ds, uint64_t max_working_set,
                             btfi_matrix *out);
+btf_status btfi_matrix_open_by(btf_context *ctx, const btf_dataset *ds, bool by_image, btfi_matrix *out);
+/* Whether the matrix is so small beside a budget that it is read once and kept. */
+bool btfi_matrix_is_held(const btfi_matrix *matrix, uint64_t max_working_set);
 void btfi_matrix_close(btfi_matrix *matrix);
 /* A btf_matrix_read_fn in the matrix's layout; `matrix` is a btfi_matrix. */
 btf_status btfi_matrix_read(void *matrix, uint64_t item0, uint64_t items, float *dst, size_t ld);

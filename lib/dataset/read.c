@@ -6,12 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum {
-  most_piece_bytes = 16 << 20,
-  least_piece_bytes = 1 << 16, /* below this, calling the source costs more than the memory is worth */
-  budget_over_piece = 32,
-  message_bytes = 512
-};
+enum { most_piece_bytes = 16 << 20, message_bytes = 512 };
 
 static _Thread_local bool source_said_why;
 
@@ -58,58 +53,8 @@ static void block_axes(const btf_dataset *ds, const btf_block *b, const btf_stri
 
 /* ---- resident and mapped samples ---- */
 
-/* ---- pages of a mapping ----
- *
- * Pages of a mapping count as memory of the process once touched. Within a memory budget they are given back
- * while a pass goes on; they stay in the system's cache. */
-
-void btfi_dataset_limit_memory(const btf_dataset *ds, uint64_t bytes) {
-  const uint64_t piece =
-      BTFI_MIN(BTFI_MAX(bytes / budget_over_piece, (uint64_t)least_piece_bytes), (uint64_t)most_piece_bytes);
-  atomic_store((atomic_ullong *)(uintptr_t)&ds->piece_bytes, bytes != 0 ? piece : 0);
-  atomic_store((atomic_ullong *)(uintptr_t)&ds->pages_kept, ds->mapping.size > bytes ? bytes : 0);
-  if (bytes != 0) btfi_mapping_let_go(&ds->mapping);
-}
-
-/* Bytes of mapping that a view of a block makes resident: the system maps 16 pages around each touched one.
- */
-static uint64_t bytes_touched(const btf_dataset *ds, const btf_block *b) {
-  const btf_strides *s = &ds->desc.strides;
-  const uint64_t rows = (uint64_t)(s->y * (ptrdiff_t)(b->height - 1) + s->x * (ptrdiff_t)b->width);
-  const uint64_t around = 65536;
-  if (s->light > s->x) return b->lights * BTFI_MIN(rows + around, (uint64_t)s->light + around / b->lights);
-  return (uint64_t)b->height * b->width * BTFI_MAX(around, (uint64_t)s->light * b->lights);
-}
-
-/* Bytes of mapping that may stay; 0 = all. A read that uses little of what it touches comes back to the same
- * pages soon: giving those back would cost far more than they weigh. */
-static uint64_t pages_to_keep(const btf_dataset *ds, const btf_block *b) {
-  const uint64_t kept = atomic_load(&ds->pages_kept);
-  const uint64_t used =
-      (uint64_t)b->lights * b->height * b->width * ds->desc.channels * btfi_sample_size(ds->desc.sample_type);
-  return kept != 0 && bytes_touched(ds, b) <= 2 * used ? kept : 0;
-}
-
-/* Views of a block that may be read before pages have to go; all of them without a budget. */
-static uint32_t views_at_once(const btf_dataset *ds, const btf_block *b) {
-  const uint64_t kept = pages_to_keep(ds, b);
-  if (kept == 0 || b->views == 0) return b->views;
-  const uint64_t views = kept / 2 / BTFI_MAX(bytes_touched(ds, b), 1);
-  return (uint32_t)BTFI_MIN(BTFI_MAX(views, 1), b->views);
-}
-
-static void let_go_of_pages(const btf_dataset *ds, const btf_block *b) {
-  atomic_ullong *count = (atomic_ullong *)(uintptr_t)&ds->bytes_touched;
-  const uint64_t kept = pages_to_keep(ds, b);
-  if (kept == 0) return;
-  const uint64_t bytes = b->views * bytes_touched(ds, b);
-  if (atomic_fetch_add(count, bytes) + bytes <= kept / 2) return;
-  atomic_store(count, 0);
-  btfi_mapping_let_go(&ds->mapping);
-}
-
-static btf_status read_views(const btf_dataset *ds, const btf_block *b, float *dst,
-                             const btf_strides *strides) {
+static btf_status read_resident(const btf_dataset *ds, const btf_block *b, float *dst,
+                                const btf_strides *strides) {
   const btf_strides *s = &ds->desc.strides;
   const char *src = (const char *)ds->desc.data + (ptrdiff_t)b->view0 * s->view +
                     (ptrdiff_t)b->light0 * s->light + (ptrdiff_t)b->y0 * s->y + (ptrdiff_t)b->x0 * s->x;
@@ -117,27 +62,13 @@ static btf_status read_views(const btf_dataset *ds, const btf_block *b, float *d
   bool finite = true;
   block_axes(ds, b, s, strides, axes);
   BTFI_TRY(btfi_unpack_block(ds->ctx, &ds->kernels, axes, btfi_axes_most, src, dst, &finite));
-  let_go_of_pages(ds, b);
   char message[message_bytes];
   return finite ? BTF_OK
                 : btfi_fail_not_finite(ds->ctx, ds->label, ds->desc.sample_type, b, ds->desc.channels, src, s,
                                        message, sizeof message);
 }
 
-static btf_status read_resident(const btf_dataset *ds, const btf_block *b, float *dst,
-                                const btf_strides *strides) {
-  const uint32_t at_once = views_at_once(ds, b);
-  if (at_once == b->views) return read_views(ds, b, dst, strides);
-  btf_block part = *b;
-  for (uint32_t done = 0; done < b->views; done += part.views) {
-    part.view0 = b->view0 + done;
-    part.views = BTFI_MIN(at_once, b->views - done);
-    BTFI_TRY(read_views(ds, &part, (float *)((char *)dst + (ptrdiff_t)done * strides->view), strides));
-  }
-  return BTF_OK;
-}
-
-/* ---- streamed samples ---- */
+/* ---- samples of a source or a file ---- */
 
 /* Each piece is read through a scratch buffer in the source's own order. */
 typedef struct stream_job {
@@ -157,10 +88,12 @@ typedef struct stream_job {
 static btf_status call_source(const btf_dataset *ds, const btf_block *b, void *scratch, const btf_strides *s,
                               char *message) {
   const bool alone = !(ds->desc.flags & BTF_DATASET_CONCURRENT_READ);
-  pthread_mutex_t *mutex = (pthread_mutex_t *)(uintptr_t)&ds->one_reader;
+  const btf_dataset *owner = ds->whole ? ds->whole : ds;
+  pthread_mutex_t *mutex = (pthread_mutex_t *)(uintptr_t)&owner->one_reader;
   if (alone) pthread_mutex_lock(mutex);
   source_said_why = false;
-  const btf_status status = ds->desc.read(ds->desc.user, b, scratch, s);
+  const btf_status status =
+      ds->desc.data ? btfi_read_runs(ds, b, scratch) : ds->desc.read(ds->desc.user, b, scratch, s);
   if (alone) pthread_mutex_unlock(mutex);
   if (status == BTF_OK) return BTF_OK;
   if (source_said_why)
@@ -213,7 +146,7 @@ static btf_status read_streamed(const btf_dataset *ds, const btf_block *b, float
   const btf_dataset_desc *d = &ds->desc;
   const uint64_t cell = btfi_sample_size(d->sample_type) * d->channels;
   const bool one_view = d->view_lights != NULL;
-  const uint64_t limit = atomic_load(&ds->piece_bytes), piece_bytes = limit != 0 ? limit : most_piece_bytes;
+  const uint64_t piece_bytes = ds->piece_bytes != 0 ? ds->piece_bytes : most_piece_bytes;
   stream_job job = {.ds = ds, .dst_strides = strides, .dst = (char *)dst};
   job.order = d->flags & BTF_DATASET_IMAGE_MAJOR ? BTF_ORDER_VLYXC : BTF_ORDER_YXVLC;
   uint32_t threads = d->flags & BTF_DATASET_CONCURRENT_READ ? btfi_thread_count(ds->ctx) : 1;
@@ -241,7 +174,8 @@ static btf_status read_streamed(const btf_dataset *ds, const btf_block *b, float
 
 btf_status btfi_read_samples(const btf_dataset *ds, const btf_block *block, float *dst,
                              const btf_strides *strides) {
-  return ds->desc.data ? read_resident(ds, block, dst, strides) : read_streamed(ds, block, dst, strides);
+  return ds->desc.data && !ds->reads_file ? read_resident(ds, block, dst, strides)
+                                          : read_streamed(ds, block, dst, strides);
 }
 
 static btf_status check_range(btf_context *ctx, const char *label, const char *axis, uint32_t first,

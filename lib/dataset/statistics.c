@@ -9,6 +9,7 @@ enum {
   BIN_SHIFT = 13, /* positive floats by their upper bits: bins of 2^-10 relative width */
   BINS = 0x7f800000u >> BIN_SHIFT,
   PARTS = 16,
+  BUDGET_OVER_COUNTS = 4,
   BLOCK_FLOATS = 4 << 20
 };
 
@@ -18,19 +19,18 @@ typedef struct statistics_pass {
   uint64_t items;
   double *sums; /* of each row of B */
   double energy[PARTS];
-  uint32_t *counts;    /* BINS for each thread, of the blocks since they were last added up */
+  uint32_t lanes;      /* each takes its parts one after another */
+  uint32_t *counts;    /* BINS for each lane, of the blocks since they were last added up */
   uint64_t *histogram; /* BINS */
 } statistics_pass;
 
-/* Takes one of PARTS ranges of the rows of B, so that sums do not depend on which thread makes them. */
-static void take_part(void *job, uint32_t part, uint32_t thread) {
-  statistics_pass *pass = job;
+/* Takes one of PARTS ranges of the rows of B, so that sums do not depend on who makes them. */
+static void take_part(statistics_pass *pass, uint32_t part, uint32_t *counts) {
   const btfi_matrix *m = pass->matrix;
   const uint64_t rows = m->by_image ? pass->items : m->rows, others = m->by_image ? m->texels : pass->items;
   const bool columns = m->layout == BTF_LAYOUT_ITEM_COLUMNS;
   const uint64_t row_step = m->by_image ? m->length : columns ? pass->items : 1;
   const uint64_t other_step = m->by_image || columns ? 1 : m->length;
-  uint32_t *counts = pass->counts + (uint64_t)thread * BINS;
   const uint64_t first = rows * part / PARTS, last = rows * (part + 1) / PARTS;
   double energy = 0.0;
   for (uint64_t row = first; row < last; row++) {
@@ -46,6 +46,13 @@ static void take_part(void *job, uint32_t part, uint32_t thread) {
     pass->sums[row] += sum;
   }
   pass->energy[part] += energy;
+}
+
+static void take_lane(void *job, uint32_t lane, uint32_t thread) {
+  statistics_pass *pass = job;
+  (void)thread;
+  for (uint32_t part = lane; part < PARTS; part += pass->lanes)
+    take_part(pass, part, pass->counts + (uint64_t)lane * BINS);
 }
 
 /* The lower edge of the bin that holds the 99.9th percentile. */
@@ -64,15 +71,15 @@ static double find_peak(const statistics_pass *pass, uint64_t samples) {
   return 0.0;
 }
 
-static void add_up_counts(statistics_pass *pass, uint32_t threads) {
-  for (uint32_t t = 0; t < threads; t++)
-    for (uint32_t bin = 0; bin < BINS; bin++) pass->histogram[bin] += pass->counts[(uint64_t)t * BINS + bin];
-  memset(pass->counts, 0, (uint64_t)threads * BINS * sizeof *pass->counts);
+static void add_up_counts(statistics_pass *pass) {
+  for (uint32_t lane = 0; lane < pass->lanes; lane++)
+    for (uint32_t bin = 0; bin < BINS; bin++)
+      pass->histogram[bin] += pass->counts[(uint64_t)lane * BINS + bin];
+  memset(pass->counts, 0, (uint64_t)pass->lanes * BINS * sizeof *pass->counts);
 }
 
 static btf_status read_all(btfi_matrix *m, const btf_job *job, double from, double to, statistics_pass *pass,
                            float *block, uint64_t block_items) {
-  const uint32_t threads = btfi_thread_count(m->ctx);
   double *const row_sums = pass->sums;
   uint64_t counted = 0;
   for (uint64_t item = 0; item < m->items; item += block_items) {
@@ -82,36 +89,37 @@ static btf_status read_all(btfi_matrix *m, const btf_job *job, double from, doub
                               m->layout == BTF_LAYOUT_ITEM_COLUMNS ? pass->items : m->length));
     pass->sums = m->by_image ? row_sums + item : row_sums;
     if (counted > UINT32_MAX - pass->items * m->length) {
-      add_up_counts(pass, threads);
+      add_up_counts(pass);
       counted = 0;
     }
     counted += pass->items * m->length;
-    BTFI_TRY(btfi_parallel(m->ctx, PARTS, take_part, pass));
+    BTFI_TRY(btfi_parallel(m->ctx, pass->lanes, take_lane, pass));
   }
-  add_up_counts(pass, threads);
+  add_up_counts(pass);
   pass->sums = row_sums;
   return BTF_OK;
 }
 
 static btf_status measure(btfi_matrix *m, uint64_t max_working_set, float *mean, btf_statistics *out,
                           const btf_job *job, double from, double to) {
-  const uint32_t threads = btfi_thread_count(m->ctx);
+  const uint64_t lanes = max_working_set / BUDGET_OVER_COUNTS / (BINS * sizeof(uint32_t));
+  const uint64_t most_lanes = BTFI_MIN(btfi_thread_count(m->ctx), (uint32_t)PARTS);
   const uint64_t budget = max_working_set / 4 / sizeof(float);
   const uint64_t block_floats = budget < BLOCK_FLOATS ? budget : BLOCK_FLOATS;
   const uint64_t unit = m->by_image ? m->channels : 1;
   uint64_t block_items = block_floats / m->length / unit * unit;
-  statistics_pass pass = {.matrix = m};
+  statistics_pass pass = {.matrix = m, .lanes = (uint32_t)BTFI_MIN(BTFI_MAX(lanes, 1u), most_lanes)};
   btf_status status = BTF_E_NOMEM;
   if (block_items < unit) block_items = unit;
   if (block_items > m->items) block_items = m->items;
   float *block = btfi_alloc(m->ctx, block_items, m->length * sizeof *block);
   pass.block = block;
   pass.sums = btfi_alloc(m->ctx, m->rows, sizeof *pass.sums);
-  pass.counts = btfi_alloc(m->ctx, (uint64_t)threads * BINS, sizeof *pass.counts);
+  pass.counts = btfi_alloc(m->ctx, (uint64_t)pass.lanes * BINS, sizeof *pass.counts);
   pass.histogram = btfi_alloc(m->ctx, BINS, sizeof *pass.histogram);
   if (block != NULL && pass.sums != NULL && pass.counts != NULL && pass.histogram != NULL) {
     memset(pass.sums, 0, m->rows * sizeof *pass.sums);
-    memset(pass.counts, 0, (uint64_t)threads * BINS * sizeof *pass.counts);
+    memset(pass.counts, 0, (uint64_t)pass.lanes * BINS * sizeof *pass.counts);
     memset(pass.histogram, 0, BINS * sizeof *pass.histogram);
     status = read_all(m, job, from, to, &pass, block, block_items);
   }

@@ -8,7 +8,12 @@
 
 #include <btf/btf_sampling.h>
 
-enum { texels_per_task_round = 16 }; /* for each thread, between two reports of progress */
+/* A round of texels between two reports of progress is to take this long, whatever a texel takes. */
+static const double round_ns = 5e7;
+enum {
+  most_growth = 8, /* of a round over the one before: the first texels may be easy ones */
+  most_slab_texels = 1 << 24
+};
 
 typedef struct abrdf_visit {
   btf_context *ctx;
@@ -19,6 +24,7 @@ typedef struct abrdf_visit {
   const char *stage;
   double from, to;
   uint64_t visited, texels; /* of the level */
+  uint32_t at_once;         /* texels of a round */
   uint32_t level, width, height, level_width, level_height;
   uint32_t views, lights, channels;
   uint64_t length; /* values of an ABRDF */
@@ -45,16 +51,25 @@ static btf_status read_texels(abrdf_visit *w, uint32_t x0, uint32_t y0, uint32_t
   return btf_dataset_read(w->ds, &block, w->values, &strides);
 }
 
+static uint32_t next_round(const abrdf_visit *w, uint32_t texels, int64_t elapsed_ns) {
+  const double growth = BTFI_MIN(round_ns / (double)BTFI_MAX(elapsed_ns, 1), (double)most_growth);
+  const double wanted = growth * texels, least = btfi_thread_count(w->ctx);
+  return (uint32_t)BTFI_MIN(BTFI_MAX(wanted, least), (double)most_slab_texels);
+}
+
 /* Calls task for each texel of the slab, some at a time. */
 static btf_status visit_slab(abrdf_visit *w, btf_task_fn task) {
-  const uint32_t count = w->slab.width * w->slab.height,
-                 step = texels_per_task_round * btfi_thread_count(w->ctx);
+  const uint32_t count = w->slab.width * w->slab.height;
   visit_round round = {w, 0};
-  for (; round.first < count; round.first += step) {
+  while (round.first < count) {
+    const uint32_t texels = BTFI_MIN(w->at_once, count - round.first);
+    const int64_t start = btfi_now_ns();
     BTFI_TRY(btfi_progress(w->job, w->from + (w->to - w->from) * (double)w->visited / (double)w->texels,
                            w->stage));
-    BTFI_TRY(btfi_parallel(w->ctx, BTFI_MIN(step, count - round.first), task, &round));
-    w->visited += BTFI_MIN(step, count - round.first);
+    BTFI_TRY(btfi_parallel(w->ctx, texels, task, &round));
+    round.first += texels;
+    w->visited += texels;
+    if (texels == w->at_once) w->at_once = next_round(w, texels, btfi_now_ns() - start);
   }
   return BTF_OK;
 }
@@ -131,7 +146,7 @@ static btf_status plan_visit(abrdf_visit *w, uint64_t budget) {
                      budget, w->length, least);
   const uint64_t room = budget - threads * item;
   uint64_t slab = (w->level > 0 ? room / 2 : room) / level_texel;
-  if (slab == 0) slab = 1;
+  slab = BTFI_MIN(BTFI_MAX(slab, 1u), (uint64_t)most_slab_texels);
   w->slab.width = (uint32_t)BTFI_MIN(slab, (uint64_t)w->level_width);
   w->slab.height = (uint32_t)BTFI_MIN(BTFI_MAX(slab / w->slab.width, 1u), (uint64_t)w->level_height);
   uint64_t held = (uint64_t)w->slab.width * w->slab.height;
@@ -172,6 +187,7 @@ btf_status btfi_visit_abrdfs(btf_context *ctx, const btf_dataset *ds, uint32_t l
                    .from = from,
                    .to = to,
                    .level = level,
+                   .at_once = btfi_thread_count(ctx),
                    .width = desc->width,
                    .height = desc->height,
                    .views = btf_dirset_count(desc->views),

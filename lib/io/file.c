@@ -136,11 +136,23 @@ btf_status btfi_map_file(btf_context *ctx, const char *path, btfi_mapping *out) 
   BTFI_TRY(btfi_open_regular(ctx, path, &fd, &size));
   const void *data = size > 0 ? btfi_sys_map(fd, size) : "";
   const int code = errno;
-  close(fd); /* the mapping lives on */
+  if (size == 0 || data == MAP_FAILED) close(fd);
   if (data == MAP_FAILED) return btfi_fail(ctx, BTF_E_IO, "%s: cannot be mapped: %s", path, strerror(code));
   out->data = data;
   out->size = size;
+  out->fd = fd;
   return BTF_OK;
+}
+
+bool btfi_mapping_read(const btfi_mapping *mapping, void *dst, uint64_t n, uint64_t offset) {
+  for (uint64_t done = 0; done < n;) {
+    const int64_t got = btfi_sys_read(mapping->fd, (char *)dst + done,
+                                      (size_t)BTFI_MIN(n - done, (uint64_t)1 << 30), offset + done);
+    if (got == 0) errno = 0;
+    if (got <= 0) return false;
+    done += (uint64_t)got;
+  }
+  return true;
 }
 
 void btfi_mapping_let_go(const btfi_mapping *mapping) {
@@ -148,7 +160,10 @@ void btfi_mapping_let_go(const btfi_mapping *mapping) {
 }
 
 void btfi_unmap(btfi_mapping *mapping) {
-  if (mapping->size > 0) munmap((void *)(uintptr_t)mapping->data, (size_t)mapping->size);
+  if (mapping->size > 0) {
+    munmap((void *)(uintptr_t)mapping->data, (size_t)mapping->size);
+    close(mapping->fd);
+  }
   mapping->data = NULL;
   mapping->size = 0;
 }

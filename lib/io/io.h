@@ -24,11 +24,15 @@ btf_status btfi_read_file(btf_context *ctx, const char *path, uint64_t limit, ch
 typedef struct btfi_mapping {
   const void *data;
   uint64_t size;
+  int fd; /* of the file, where size is not 0 */
 } btfi_mapping;
 btf_status btfi_map_file(btf_context *ctx, const char *path, btfi_mapping *out);
 void btfi_unmap(btfi_mapping *mapping);
 /* Gives the mapping's pages back; they stay in the system's cache and return when touched. */
 void btfi_mapping_let_go(const btfi_mapping *mapping);
+/* Bytes of the file itself, which makes no page resident. False with errno set, 0 where the file has become
+ * shorter. */
+bool btfi_mapping_read(const btfi_mapping *mapping, void *dst, uint64_t n, uint64_t offset);
 
 /* Test seam: when set, called before each system call of this layer ("open", "fstat", "mmap", "pread",
  * "pwrite", "fsync", "close", "rename"; undoing never fails by it); a non-zero errno value makes that call

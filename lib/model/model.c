@@ -111,6 +111,7 @@ static btf_status fit_payload(const btf_dataset *ds, const btf_codec *codec, con
 btf_status btf_model_fit(const btf_dataset *ds, const btf_codec *codec, const btf_options *options,
                          const btf_job *job, btf_model **out) {
   uint64_t budget = 0;
+  btf_dataset *reader;
   btfi_payload *payload;
   btf_context *ctx;
   btf_status status;
@@ -122,10 +123,10 @@ btf_status btf_model_fit(const btf_dataset *ds, const btf_codec *codec, const bt
   if (job != NULL && job->struct_size >= BTFI_SIZE_TO(btf_job, max_working_set))
     budget = job->max_working_set;
   BTFI_TRY(btfi_payload_create(ctx, ds, btf_codec_id(codec), btfi_codec_vtbl(codec)->format_write, &payload));
-  /* A small budget of the caller's holds for reading the data as well. */
-  btfi_dataset_limit_memory(ds, budget < UINT64_C(1) << 30 ? budget : 0);
-  status = fit_payload(ds, codec, options, job, payload);
-  btfi_dataset_limit_memory(ds, 0);
+  /* A small budget of the caller's holds for reading the data as well, and for this fit alone. */
+  status = btfi_dataset_within(ds, budget < UINT64_C(1) << 30 ? budget : 0, &reader);
+  if (status == BTF_OK) status = fit_payload(reader, codec, options, job, payload);
+  btf_dataset_release(reader);
   /* Loading what a file would hold makes the fresh model and the stored one the same. */
   if (status == BTF_OK) status = btfi_model_from_payload(codec, payload, out);
   btfi_payload_release(payload);

@@ -5,6 +5,7 @@
 #include "registry/registry.h"
 #ifdef LIBBTF_FIT
 #include "dense/dense.h"
+#include "registry/decompose.h"
 #include "svd/svd.h"
 #else
 
@@ -52,9 +53,9 @@ static btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *desc, const btf
   return evaluates_only(ctx);
 }
 
-static btf_status btfi_svd_dataset(btf_context *ctx, const btf_dataset *ds, const float *mean,
-                                   const btf_svd_desc *desc, const btf_job *job, double from, double to,
-                                   btf_svd_result *out) {
+static btf_status btfi_decompose(btf_context *ctx, const btf_dataset *ds, const float *mean,
+                                 const btf_svd_desc *desc, const btf_job *job, double from, double to,
+                                 btf_svd_result *out) {
   (void)ds, (void)mean;
   return btfi_svd(ctx, desc, job, from, to, out);
 }
@@ -102,7 +103,7 @@ static const btf_host host = {
     .cholesky = btfi_cholesky,
     .cholesky_solve = btfi_cholesky_solve,
     .measure = btfi_measure,
-    .svd_dataset = btfi_svd_dataset,
+    .svd_dataset = btfi_decompose,
 };
 
 const btf_host *btfi_host(void) {
