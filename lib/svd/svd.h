@@ -8,10 +8,6 @@
 
 btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *desc, const btf_job *job, double from, double to,
                     btf_svd_result *out);
-/* btf_host.svd_dataset (svd_dataset.c) */
-btf_status btfi_svd_dataset(btf_context *ctx, const btf_dataset *ds, const float *mean,
-                            const btf_svd_desc *desc, const btf_job *job, double from, double to,
-                            btf_svd_result *out);
 void btfi_svd_free(btf_context *ctx, btf_svd_result *result);
 
 #endif
