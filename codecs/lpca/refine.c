@@ -10,6 +10,10 @@
 
 /* Directions whose share of their cluster's variance is less are rounding error. */
 #define NEGLIGIBLE 1e-10
+/* Weights that vary by less than a thousandth of their own size belong to members that are alike: sums of
+ * products with them, in float, hold a rounding of 6e-8 of the ABRDFs, which is then divided by that
+ * thousandth and less. */
+#define LEAST_VARIANCE 1e-6
 
 typedef struct refinement {
   btfi_lpca_writing *w;
@@ -138,7 +142,7 @@ static btf_status solve_cluster(refinement *r, uint32_t k) {
   for (uint32_t j = 0; j < n; j++) {
     average[j] = moments[j + 1] / count;
     const double variance = moments[(j + 1) * columns + j + 1] - count * average[j] * average[j];
-    deviation[j] = variance > 0.0 ? sqrt(variance) : 0.0;
+    deviation[j] = variance > LEAST_VARIANCE * moments[(j + 1) * columns + j + 1] ? sqrt(variance) : 0.0;
     float *row = sums + (j + 1) * r->rows;
     for (uint64_t i = 0; i < r->rows; i++) row[i] -= (float)(average[j] * (double)sums[i]);
   }
