@@ -6,6 +6,11 @@ install(TARGETS btf_shared EXPORT libbtf-targets
   LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT runtime NAMELINK_COMPONENT dev)
 install(TARGETS btf_static EXPORT libbtf-targets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT dev)
+if(TARGET btf_formats)
+  install(TARGETS btf_formats EXPORT libbtf-targets
+    LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT runtime NAMELINK_COMPONENT dev
+    ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT dev)
+endif()
 install(DIRECTORY include/btf DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT dev FILES_MATCHING PATTERN "*.h")
 # What the README links to lies beside it, as here.
 install(FILES LICENSE README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT dev)
@@ -37,3 +42,7 @@ if(LIBBTF_FIT)
 endif()
 configure_file(pkgconfig/libbtf.pc.in libbtf.pc @ONLY)
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/libbtf.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT dev)
+if(TARGET btf_formats)
+  configure_file(pkgconfig/libbtf-formats.pc.in libbtf-formats.pc @ONLY)
+  install(FILES ${CMAKE_CURRENT_BINARY_DIR}/libbtf-formats.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT dev)
+endif()

@@ -18,8 +18,9 @@ for layer in "${order[@]}"; do
     echo "$bad"
   fi
 done
-for folder in codecs tools examples; do
+for folder in codecs formats tools examples; do
   case $folder in
+    formats) bad=$(grep -rnE '#include [<"].*btf' formats --include=*.[ch] | grep -vE '<btf/btf_(plugin|codec|half)\.h>|/test_|formats/([a-z0-9_]+)/[a-z0-9_]+\.[ch]:[0-9]+:#include "\2/' | grep -v '"bonn_case.h"' || true) ;;
     codecs) bad=$(grep -rnE '#include [<"].*btf' codecs --include=*.[ch] | grep -vE '<btf/btf_(plugin|codec|half|sampling)\.h>|test_|"btf_test\.h"' || true) ;;
     *) bad=$(grep -rnE '#include "(\.\./)*(lib|base|io|directions|dataset|dense|svd|container|registry|model)/' $folder --include=*.[ch] || true) ;;
   esac

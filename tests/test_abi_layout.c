@@ -64,6 +64,13 @@ AT(btf_allocator, user, 0);
 AT(btf_allocator, alloc, 8);
 AT(btf_allocator, free, 16);
 
+SIZE(btf_probe, 32);
+AT(btf_probe, path, 0);
+AT(btf_probe, is_folder, 8);
+AT(btf_probe, head_size, 12);
+AT(btf_probe, head, 16);
+AT(btf_probe, size, 24);
+
 SIZE(btf_model_shape, 40);
 AT(btf_model_shape, lights, 0);
 AT(btf_model_shape, views, 8);
@@ -84,7 +91,7 @@ AT(btf_model_shape, reserved, 36);
 GROWABLE(btf_limits, max_channels, 40, 40);
 GROWABLE(btf_context_desc, isa, 72, 72);
 GROWABLE(btf_job, seed, 40, 48);
-GROWABLE(btf_dataset_desc, view_lights, 184, 184);
+GROWABLE(btf_dataset_desc, view_lights, 184, 192);
 GROWABLE(btf_io, name, 64, 64);
 GROWABLE(btf_chunk_info, method, 64, 64);
 GROWABLE(btf_param_desc, flags, 72, 72);
@@ -95,8 +102,9 @@ GROWABLE(btf_svd_result, residual, 56, 64);
 GROWABLE(btf_statistics, peak, 32, 32);
 GROWABLE(btf_codec_vtbl, texel, 120, 128);
 GROWABLE(btf_eval_cost, flops, 40, 40);
-GROWABLE(btf_plugin_info, host_size_needed, 40, 40);
-GROWABLE(btf_host, mip_filter, 224, 288);
+GROWABLE(btf_plugin_info, host_size_needed, 40, 56);
+GROWABLE(btf_format_vtbl, open, 56, 56);
+GROWABLE(btf_host, mip_filter, 224, 328);
 
 AT(btf_codec_vtbl, abi, 4);
 AT(btf_plugin_info, abi, 4);

@@ -427,6 +427,109 @@ static void out_of_memory(void **state) {
   }
 }
 
+/* ---- formats ---- */
+
+static uint32_t probe_never(const btf_host *host, btf_context *ctx, const btf_probe *probe) {
+  (void)host, (void)ctx, (void)probe;
+  return 0;
+}
+static uint32_t probe_length(const btf_host *host, btf_context *ctx, const btf_probe *probe) {
+  (void)host, (void)ctx;
+  return !probe->is_folder && probe->size == 5 && probe->head_size == 5 &&
+                 memcmp(probe->head, "12345", 5) == 0
+             ? 100
+             : 0;
+}
+static btf_status open_unsupported(const btf_host *host, btf_context *ctx, const char *path,
+                                   const btf_options *options, btf_dataset **out) {
+  (void)out;
+  (void)(host->option)(options, "no such parameter");
+  return (host->fail)(ctx, BTF_E_UNSUPPORTED, "%s: is only recognised", path);
+}
+
+static btf_format_vtbl good_format(void) {
+  return (btf_format_vtbl){.struct_size = sizeof(btf_format_vtbl),
+                           .abi = LIBBTF_ABI,
+                           .id = "org.example.five",
+                           .title = "Five digits",
+                           .probe = probe_length,
+                           .open = open_unsupported};
+}
+
+static btf_status register_formats(btf_context *ctx, const btf_format_vtbl *first,
+                                   const btf_format_vtbl *second) {
+  const btf_format_vtbl *const formats[] = {first, second};
+  const btf_plugin_info info = {.struct_size = sizeof info,
+                                .abi = LIBBTF_ABI,
+                                .name = "test",
+                                .license = "MIT",
+                                .host_size_needed = sizeof(btf_host),
+                                .formats = formats,
+                                .format_count = second != NULL ? 2 : 1};
+  return btf_context_register_plugin(ctx, &info);
+}
+
+static void expect_format_refusal(btf_format_vtbl first, btf_format_vtbl second, btf_status expected,
+                                  const char *part) {
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  const uint32_t before = btf_format_count(ctx);
+  assert_status(register_formats(ctx, &first, &second), expected);
+  assert_message_has(part);
+  assert_int_equal(btf_format_count(ctx), before); /* all or none */
+  test_context_done(ctx, &memory);
+}
+
+static void formats_door(void **state) {
+  btf_format_vtbl v = good_format(), other = good_format();
+  (void)state;
+  expect_format_refusal(v, other, BTF_E_PLUGIN, "twice");
+  other.id = "org.example.other";
+#define REFUSE_FORMAT(change, status, part)                                                                  \
+  v = good_format();                                                                                         \
+  change;                                                                                                    \
+  expect_format_refusal(other, v, status, part)
+  REFUSE_FORMAT(v.abi = LIBBTF_ABI + 1, BTF_E_PLUGIN, "ABI");
+  REFUSE_FORMAT(v.struct_size = offsetof(btf_format_vtbl, open), BTF_E_PLUGIN, "table");
+  REFUSE_FORMAT(v.id = "short", BTF_E_PLUGIN, "org.example.short");
+  REFUSE_FORMAT(v.title = "", BTF_E_PLUGIN, "title");
+  REFUSE_FORMAT(v.probe = NULL, BTF_E_PLUGIN, "`probe`");
+  REFUSE_FORMAT(v.open = NULL, BTF_E_PLUGIN, "`open`");
+#undef REFUSE_FORMAT
+}
+
+static void formats_recognise(void **state) {
+  test_memory memory;
+  btf_context *ctx = test_context(&memory), *another;
+  test_memory memory_of_another;
+  const btf_format *format;
+  btf_dataset *ds;
+  const char *five = test_path("five"), *other_file = test_path("other");
+  btf_format_vtbl v = good_format(), never = good_format();
+  (void)state;
+  never.id = "org.example.never";
+  never.probe = probe_never;
+  assert_ok(register_formats(ctx, &never, &v));
+  assert_string_equal(btf_format_id(btf_format_at(ctx, 0)), "folder");
+  assert_null(btf_format_at(ctx, 3));
+  test_write_bytes(five, "12345", 5);
+  test_write_bytes(other_file, "12346", 5);
+  assert_ok(btf_format_detect(ctx, five, &format));
+  assert_string_equal(btf_format_id(format), "org.example.five");
+  assert_status(btf_format_detect(ctx, other_file, &format), BTF_E_NOT_BTF);
+  assert_status(btf_format_detect(ctx, test_path("absent"), &format), BTF_E_IO);
+  assert_status(btf_format_detect(ctx, "/dev/null", &format), BTF_E_UNSUPPORTED);
+  /* Asking for a parameter that is not there is the format's mistake, whatever else it says. */
+  assert_status(btf_format_open(ctx, five, NULL, NULL, &ds), BTF_E_INVALID_ARG);
+  assert_message_has("no such parameter");
+  assert_null(ds);
+  another = test_context(&memory_of_another);
+  assert_ok(btf_format_detect(ctx, five, &format));
+  assert_status(btf_format_open(another, five, format, NULL, &ds), BTF_E_INVALID_ARG);
+  test_context_done(another, &memory_of_another);
+  test_context_done(ctx, &memory);
+}
+
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(door),
@@ -434,6 +537,8 @@ int main(void) {
       cmocka_unit_test(results_of_old_codecs_are_not_overrun),
       cmocka_unit_test(codecs_describe_themselves),
       cmocka_unit_test(options),
+      cmocka_unit_test(formats_door),
+      cmocka_unit_test(formats_recognise),
       cmocka_unit_test(example_registered),
       cmocka_unit_test(example_loaded),
       cmocka_unit_test(refused_modules),

@@ -149,6 +149,9 @@ int cli_unknown_codec(const cli *c, const btf_context *ctx, const char *id);
 
 /* Sets the values of --param KEY=VALUE on the options of a codec. */
 int cli_codec_options(const cli *c, btf_options *options);
+/* A parameter's type as a word; and two lines about it on standard output. */
+const char *cli_param_type(uint32_t type);
+void cli_print_param(const btf_param_desc *p);
 
 /* Fills a job whose progress draws the bar and whose return cancels after Ctrl-C. Other members are the
  * caller's. */

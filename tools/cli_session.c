@@ -11,6 +11,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include <btf/btf_formats.h>
 #include <btf/btf_plugin.h>
 
 #include "plugin_path.h"
@@ -236,6 +237,10 @@ int cli_context(cli *c, btf_context **out) {
   c->threads = btf_context_threads(c->context);
 #ifdef BTF_TOOL_OPENBLAS
   openblas_set_num_threads((int)c->threads);
+#endif
+#ifdef BTF_TOOL_FORMATS
+  status = btf_formats_register(c->context);
+  if (status != BTF_OK) return cli_fail_library(status);
 #endif
   for (int i = 0; i < cli_count(c, "plugin"); i++) {
     const char *path = cli_value_at(c, "plugin", i);

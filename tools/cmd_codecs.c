@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: MIT */
 /* cmd_codecs.c: lists codecs and their parameters. */
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -22,46 +21,6 @@ static const struct {
 };
 enum { capability_count = sizeof capabilities / sizeof *capabilities };
 
-static const char *type_word(uint32_t type) {
-  switch (type) {
-  case BTF_PARAM_INT:
-    return "int";
-  case BTF_PARAM_FLOAT:
-    return "float";
-  case BTF_PARAM_BOOL:
-    return "bool";
-  case BTF_PARAM_CHOICE:
-    return "choice";
-  default:
-    return "string";
-  }
-}
-
-/* "1 .. 1024", "at least 0", "a | b", "true | false". */
-static void print_range(const btf_param_desc *p, FILE *out) {
-  if (p->type == BTF_PARAM_CHOICE) {
-    for (int i = 0; p->choices != NULL && p->choices[i] != NULL; i++) {
-      if (i > 0) fputs(" | ", out);
-      safe_text_put(out, p->choices[i]);
-    }
-  } else if (p->type == BTF_PARAM_BOOL) {
-    fputs("true | false", out);
-  } else if (p->type == BTF_PARAM_INT || p->type == BTF_PARAM_FLOAT) {
-    if (isfinite(p->minimum) && isfinite(p->maximum))
-      fprintf(out, "%.10g .. %.10g", p->minimum, p->maximum);
-    else if (isfinite(p->minimum))
-      fprintf(out, "at least %.10g", p->minimum);
-    else if (isfinite(p->maximum))
-      fprintf(out, "at most %.10g", p->maximum);
-    else
-      fputs("any number", out);
-    if (p->unit != NULL && p->unit[0] != '\0') fputc(' ', out);
-    safe_text_put(out, p->unit);
-  } else {
-    fputs("text", out);
-  }
-}
-
 static void print_codec(const btf_codec *codec) {
   const uint64_t caps = btf_codec_caps(codec);
   bool first = true;
@@ -78,14 +37,7 @@ static void print_codec(const btf_codec *codec) {
     btf_param_desc p = {0};
     p.struct_size = sizeof p;
     if (btf_codec_param(codec, i, &p) != BTF_OK) continue;
-    printf("  -p %s=%s", p.name, type_word(p.type));
-    fputs("  (", stdout);
-    print_range(&p, stdout);
-    fputs("; default ", stdout);
-    safe_text_put(stdout, p.default_text != NULL && p.default_text[0] != '\0' ? p.default_text : "none");
-    fputs(")\n      ", stdout);
-    safe_text_put(stdout, p.summary);
-    putchar('\n');
+    cli_print_param(&p);
   }
 }
 
@@ -94,7 +46,7 @@ static void write_param(json_writer *j, const btf_param_desc *p) {
   json_object(j, NULL);
   json_string(j, "name", p->name);
   json_string(j, "summary", p->summary);
-  json_string(j, "type", type_word(p->type));
+  json_string(j, "type", cli_param_type(p->type));
   json_string(j, "unit", p->unit);
   json_string(j, "default", p->default_text);
   if (is_number) {

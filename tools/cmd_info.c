@@ -139,6 +139,7 @@ static void dataset_text(const input *in) {
   btf_dataset_describe(in->dataset, &d);
   safe_text_put(stdout, in->path);
   printf(": data set\n");
+  if (in->format != NULL) text_line("format", btf_format_title(in->format));
   size_line("on disk", in->bytes);
   label("texels");
   printf("%" PRIu32 " x %" PRIu32 "\n", d.width, d.height);
@@ -146,7 +147,7 @@ static void dataset_text(const input *in) {
   directions_line("lights", d.lights);
   directions_line("views", d.views);
   text_line("sample type", input_sample_type(d.sample_type));
-  text_line("order", d.flags & BTF_DATASET_IMAGE_MAJOR ? "vlyxc (images)" : "yxvlc (apparent BRDFs)");
+  if (d.data != NULL) text_line("order", d.flags & BTF_DATASET_IMAGE_MAJOR ? "vlyxc (images)" : "yxvlc (apparent BRDFs)");
   text_line("quantity", input_quantity(d.quantity));
   text_line("scale", input_scale(d.scale));
   text_line("wrap", d.wrap == BTF_WRAP_CLAMP ? "clamp" : "periodic");
@@ -158,6 +159,7 @@ static void dataset_text(const input *in) {
     label("texels per mm");
     printf("%.9g\n", d.texels_per_mm);
   }
+  for (uint32_t i = 0; d.notes != NULL && d.notes[i] != NULL; i += 2) text_line(d.notes[i], d.notes[i + 1]);
 }
 
 /* ---- JSON ---- */
@@ -267,6 +269,7 @@ static void dataset_json(const input *in, json_writer *j) {
   description d = {0};
   btf_dataset_describe(in->dataset, &s);
   json_string(j, "kind", "dataset");
+  json_string(j, "format", in->format != NULL ? btf_format_id(in->format) : NULL);
   json_integer(j, "bytes", in->bytes);
   json_string(j, "sample_type", input_sample_type(s.sample_type));
   json_string(j, "order", s.flags & BTF_DATASET_IMAGE_MAJOR ? "vlyxc" : "yxvlc");
@@ -274,6 +277,10 @@ static void dataset_json(const input *in, json_writer *j) {
                     s.wrap,    s.channel_names, s.color_space, s.name,     s.source,
                     s.license, s.texels_per_mm, s.lights,      s.views};
   write_description(j, &d);
+  json_object(j, "notes");
+  for (uint32_t i = 0; s.notes != NULL && s.notes[i] != NULL; i += 2)
+    json_string(j, s.notes[i], s.notes[i + 1]);
+  json_close(j, '}');
 }
 
 static int run(cli *c) {

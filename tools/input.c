@@ -43,6 +43,20 @@ static int fail_file(const cli *c, const char *path, btf_status status) {
   return cli_fail_library(status);
 }
 
+/* What is no container may be measured data. */
+static btf_status open_measured(btf_context *ctx, const char *path, input *out) {
+  const btf_status status = btf_format_detect(ctx, path, &out->format);
+  return status == BTF_OK ? btf_format_open(ctx, path, out->format, NULL, &out->dataset) : status;
+}
+
+static btf_status open_any(btf_context *ctx, const char *path, bool is_folder, input *out) {
+  btf_status status = open_measured(ctx, path, out);
+  if (status != BTF_E_NOT_BTF || out->format != NULL) return status;
+  /* Whoever expected a container or a folder of ours is told what is wrong with it as that. */
+  if (is_folder) return btf_dataset_open(ctx, path, &out->dataset);
+  return btf_file_open_path(ctx, path, 0, &out->file);
+}
+
 int input_open(cli *c, const char *path, input *out) {
   btf_context *ctx;
   struct stat info;
@@ -53,10 +67,7 @@ int input_open(cli *c, const char *path, input *out) {
   if (failed) return failed;
   if (stat(path, &info) != 0) return cli_fail(EXIT_IO, "%s: could not be opened: %s", path, strerror(errno));
   out->path = path;
-  if (S_ISDIR(info.st_mode))
-    status = btf_dataset_open(ctx, path, &out->dataset);
-  else
-    status = btf_file_open_path(ctx, path, 0, &out->file);
+  status = open_any(ctx, path, S_ISDIR(info.st_mode), out);
   if (status != BTF_OK) {
     failed = S_ISDIR(info.st_mode) ? cli_fail_library(status) : fail_file(c, path, status);
     input_close(out);
@@ -64,6 +75,41 @@ int input_open(cli *c, const char *path, input *out) {
   }
   out->bytes = input_bytes_on_disk(path);
   return EXIT_DONE;
+}
+
+static int unknown_format(const cli *c, const btf_context *ctx, const char *id) {
+  enum { most = 64 };
+  const char *words[most + 1];
+  uint32_t count = btf_format_count(ctx);
+  if (count > most) count = most;
+  for (uint32_t i = 0; i < count; i++) words[i] = btf_format_id(btf_format_at(ctx, i));
+  words[count] = NULL;
+  const char *nearest = cli_near_miss(id, words);
+  if (nearest != NULL) return cli_usage(c, "no format \"%s\"; did you mean %s?", id, nearest);
+  return cli_usage(c, "no format \"%s\"; btf import --list shows those of this build", id);
+}
+
+int input_open_import(cli *c, const char *path, input *out) {
+  const char *id = cli_value(c, "format");
+  btf_options *options = NULL;
+  btf_context *ctx;
+  btf_status status = BTF_OK;
+  memset(out, 0, sizeof *out);
+  int failed = cli_context(c, &ctx);
+  if (failed) return failed;
+  if (id != NULL && (out->format = btf_format_find(ctx, id)) == NULL) return unknown_format(c, ctx, id);
+  if (out->format == NULL) status = btf_format_detect(ctx, path, &out->format);
+  if (status == BTF_OK) status = btf_format_options_create(out->format, &options);
+  if (status != BTF_OK) return cli_fail_library(status);
+  failed = cli_codec_options(c, options);
+  if (!failed) {
+    status = btf_format_open(ctx, path, out->format, options, &out->dataset);
+    if (status != BTF_OK) failed = cli_fail_library(status);
+  }
+  btf_options_release(options);
+  out->path = path;
+  out->bytes = input_bytes_on_disk(path);
+  return failed;
 }
 
 int input_load(input *in) {

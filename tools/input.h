@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* input.h: what a command reads: a data-set folder or a container file. */
+/* input.h: what a command reads: a data set (a folder of ours or measured data) or a container file. */
 #ifndef BTF_TOOLS_INPUT_H
 #define BTF_TOOLS_INPUT_H
 
@@ -7,14 +7,17 @@
 
 typedef struct input {
   const char *path;
-  btf_dataset *dataset; /* a folder; otherwise NULL */
-  btf_file *file;       /* a container; otherwise NULL */
-  btf_model *model;     /* after input_load */
-  uint64_t bytes;       /* on disk */
+  btf_dataset *dataset;     /* otherwise NULL */
+  const btf_format *format; /* of the data set */
+  btf_file *file;           /* a container; otherwise NULL */
+  btf_model *model;         /* after input_load */
+  uint64_t bytes;           /* on disk */
 } input;
 
-/* Opens by what the path is: a folder as a data set, anything else as a container. Zeroed on failure. */
+/* Opens by what is there: a container, or a data set of whichever format recognises it. Zeroed on failure. */
 int input_open(cli *c, const char *path, input *out);
+/* A data set of the format named by --format, or as recognised, with --param for the format. */
+int input_open_import(cli *c, const char *path, input *out);
 /* Makes the model: the first of a container, or the data set as it stands. */
 int input_load(input *in);
 /* Both. */

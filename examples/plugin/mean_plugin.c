@@ -148,7 +148,13 @@ static const btf_codec_vtbl mean_codec = {.struct_size = sizeof(btf_codec_vtbl),
                                           .eval = mean_eval,
                                           .texel = mean_texel};
 static const btf_codec_vtbl *const codecs[] = {&mean_codec};
-static const btf_plugin_info info = {sizeof info, LIBBTF_ABI, "mean", "MIT", codecs, 1, sizeof(btf_host)};
+static const btf_plugin_info info = {.struct_size = sizeof info,
+                                     .abi = LIBBTF_ABI,
+                                     .name = "mean",
+                                     .license = "MIT",
+                                     .codecs = codecs,
+                                     .codec_count = 1,
+                                     .host_size_needed = sizeof(btf_host)};
 
 /* The one symbol the library looks for. NULL would say: not with a library of this generation. */
 LIBBTF_API const btf_plugin_info *BTF_PLUGIN_ENTRY(uint32_t host_abi);

@@ -5,5 +5,6 @@
 #include "btf_base.h"
 #include "btf_dataset.h"
 #include "btf_model.h"
+#include "btf_format.h"
 #include "btf_io.h"
 #endif

@@ -119,12 +119,14 @@ typedef struct btf_dataset_desc {
   /** NULL, or one light set for each view (measured sets whose lights differ between views). Samples are then
    *  read from those and interpolated to `lights`, which stays the set that everybody sees. */
   const btf_dirset *const *view_lights;
+  /** NULL, or what is known of the data beside the above: key, text, key, text ..., NULL. */
+  const char *const *notes;
 } btf_dataset_desc;
 #define BTF_DATASET_DESC_INIT                                                                                \
   {                                                                                                          \
     sizeof(btf_dataset_desc), NULL, NULL, 0, 0, 0, BTF_SAMPLE_F32, BTF_QUANTITY_BRDF, BTF_SCALE_RELATIVE,    \
         BTF_WRAP_PERIODIC, 0, NULL, NULL, NULL, NULL, NULL, 0.0, NULL, {0, 0, 0, 0, 0}, NULL, NULL, NULL,    \
-        NULL                                                                                                 \
+        NULL, NULL                                                                                           \
   }
 
 /** Creates a data set from a description. What desc->user stands for is the library's from here on: `release` is

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
 /*
- * btf_plugin.h: for authors of codecs, built in or loaded as modules. A codec includes this header and nothing of
+ * btf_plugin.h: for authors of codecs and formats, built in or loaded as modules. A codec includes this header and nothing of
  * the library's inside; it calls the library through the host table it is handed, so one binary works with the
  * static and the shared library. CONTRIBUTING.md shows how to add a codec step by step.
  *
@@ -10,6 +10,7 @@
 #ifndef LIBBTF_BTF_PLUGIN_H
 #define LIBBTF_BTF_PLUGIN_H
 
+#include "btf_format.h"
 #include "btf_model.h"
 
 #ifdef __cplusplus
@@ -191,6 +192,13 @@ typedef struct btf_host {
                         btf_statistics *out, const btf_job *job, double from, double to);
   btf_status (*svd_dataset)(btf_context *ctx, const btf_dataset *ds, const float *mean, const btf_svd_desc *desc,
                             const btf_job *job, double from, double to, btf_svd_result *out);
+
+  /* For formats, as in btf_dataset.h. source_error is for a source's `read`, whose context is its own affair. */
+  btf_status (*dirset_create)(btf_context *ctx, const float *xyz, uint32_t count, btf_dirset **out);
+  btf_status (*dirset_create_named)(btf_context *ctx, const char *name, btf_dirset **out);
+  void (*dirset_release)(btf_dirset *set);
+  btf_status (*dataset_create)(btf_context *ctx, const btf_dataset_desc *desc, btf_dataset **out);
+  btf_status (*source_error)(btf_status code, const char *format, ...) LIBBTF_PRINTF(2, 3);
 } btf_host;
 
 /** A codec. Copied at registration; optional slots may be NULL. Grows at its end only. `state` is what load made.
@@ -225,6 +233,31 @@ typedef struct btf_codec_vtbl {
   void (*cost)(const void *state, uint32_t flags, btf_eval_cost *out);
 } btf_codec_vtbl;
 
+/** What a format sees of a file or folder before it says whether it is its own. FROZEN. */
+typedef struct btf_probe {
+  const char *path;
+  int32_t is_folder;
+  uint32_t head_size;        /**< bytes of head; 0 for folders and empty files */
+  const unsigned char *head; /**< how the file begins, up to 4096 bytes */
+  uint64_t size;             /**< of the file */
+} btf_probe;
+
+/** A format. Copied at registration; optional slots may be NULL. Grows at its end only. */
+typedef struct btf_format_vtbl {
+  uint32_t struct_size, abi; /**< these two never move */
+  const char *id;            /**< as of a codec */
+  const char *title;         /**< one line */
+  const char *version;
+  const btf_param_desc *const *params; /**< NULL-terminated list of pointers; may be NULL */
+  /** How sure it is, from the content, that the path is of this format: 0 no to 100, a signature of its own. The surest
+   *  format opens it; of equally sure ones the one registered first. Cheap; fails silently with 0. */
+  uint32_t (*probe)(const btf_host *host, btf_context *ctx, const btf_probe *probe);
+  /** Checks the whole structure and makes a data set that reads samples when asked. The message of a failure begins with
+   *  the path. */
+  btf_status (*open)(const btf_host *host, btf_context *ctx, const char *path, const btf_options *options,
+                     btf_dataset **out);
+} btf_format_vtbl;
+
 /** What a module exports. Names beginning with "libbtf " are for this project's own modules, whose codecs may have ids
  *  without a dot. */
 typedef struct btf_plugin_info {
@@ -235,6 +268,8 @@ typedef struct btf_plugin_info {
   /** Bytes of btf_host that the codecs use: sizeof(btf_host) unless they look at host->struct_size themselves. A library
    *  whose table is shorter refuses the module. */
   uint32_t host_size_needed;
+  const btf_format_vtbl *const *formats; /**< may be NULL; a module offers one codec or format at least */
+  uint32_t format_count, reserved;       /**< reserved must be 0 */
 } btf_plugin_info;
 /** Name of a module's one entry point; the ABI generation is part of it. */
 #define BTF_PLUGIN_ENTRY btf_plugin_entry_1
@@ -246,7 +281,11 @@ typedef const btf_plugin_info *(*btf_plugin_entry_fn)(uint32_t host_abi);
  *  Threads: exclusive, before the context's codecs are used. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_context_register(btf_context *ctx, const btf_codec_vtbl *codec);
 
-/** Loads a module by absolute path and registers its codecs: all of them or none. Loading runs the module's code;
+/** Registers what a description offers, linked in instead of loaded: all of it or nothing. It need not outlive the call,
+ *  what it points to must outlive the context. BTF_E_PLUGIN, BTF_E_ABI. Threads: exclusive. */
+LIBBTF_API LIBBTF_NODISCARD btf_status btf_context_register_plugin(btf_context *ctx, const btf_plugin_info *plugin);
+
+/** Loads a module by absolute path and registers its codecs and formats: all of them or none. Loading runs the module's code;
  *  no file that libbtf opens can cause it. The module stays loaded as long as the context lives. Threads: exclusive. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_context_load_plugin(btf_context *ctx, const char *absolute_path);
 

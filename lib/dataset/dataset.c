@@ -115,11 +115,24 @@ static btf_status copy_view_lights(btf_context *ctx, btf_dataset_desc *d, const 
   return BTF_OK;
 }
 
+static btf_status copy_notes(btf_context *ctx, btf_dataset_desc *d, const char *const *notes) {
+  uint32_t count = 0;
+  if (!notes) return BTF_OK;
+  while (notes[count]) count++;
+  char **copy = btfi_calloc(ctx, (uint64_t)count + 1, sizeof *copy);
+  if (!copy) return btfi_alloc_status();
+  d->notes = (const char *const *)copy;
+  for (uint32_t i = 0; i < count; ++i)
+    if (!(copy[i] = btfi_strdup(ctx, notes[i]))) return btfi_alloc_status();
+  return BTF_OK;
+}
+
 btf_status btfi_dataset_copy_texts(btf_context *ctx, btf_dataset_desc *d) {
   const btf_dataset_desc user = *d;
   d->channel_names = NULL;
   d->color_space = d->name = d->source = d->license = NULL;
   d->view_lights = NULL;
+  d->notes = NULL;
   d->lights = btf_dirset_retain(user.lights);
   d->views = btf_dirset_retain(user.views);
   btf_status status = copy_channel_names(ctx, d, user.channel_names);
@@ -136,6 +149,7 @@ btf_status btfi_dataset_copy_texts(btf_context *ctx, btf_dataset_desc *d) {
     if (status == BTF_OK) *to[i] = text;
   }
   if (status == BTF_OK) status = copy_view_lights(ctx, d, user.view_lights);
+  if (status == BTF_OK) status = copy_notes(ctx, d, user.notes);
   if (status != BTF_OK) btfi_dataset_free_texts(ctx, d);
   return status;
 }
@@ -146,6 +160,8 @@ void btfi_dataset_free_texts(btf_context *ctx, btf_dataset_desc *d) {
   btfi_free(ctx, (void *)(uintptr_t)d->channel_names);
   const char *const texts[] = {d->color_space, d->name, d->source, d->license};
   for (int i = 0; i < 4; ++i) btfi_free(ctx, (char *)(uintptr_t)texts[i]);
+  for (uint32_t i = 0; d->notes && d->notes[i]; ++i) btfi_free(ctx, (char *)(uintptr_t)d->notes[i]);
+  btfi_free(ctx, (void *)(uintptr_t)d->notes);
   if (d->view_lights)
     for (uint32_t v = 0, views = btf_dirset_count(d->views); v < views; ++v)
       btf_dirset_release((btf_dirset *)(uintptr_t)d->view_lights[v]);
@@ -174,6 +190,16 @@ btf_strides btfi_dense_strides(const btf_dataset_desc *d, uint32_t order, ptrdif
 }
 
 /* ---- life ---- */
+
+/* Keys of notes become keys of a manifest and of a container's metadata. */
+static btf_status check_notes(btf_context *ctx, const char *label, const char *const *notes) {
+  for (uint32_t i = 0; notes && notes[i]; i += 2) {
+    if (i >= 512) return btfi_fail(ctx, BTF_E_LIMIT, "%s: more than 256 notes", label);
+    if (!notes[i + 1])
+      return btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: the note %.80s has no text", label, notes[i]);
+  }
+  return BTF_OK;
+}
 
 static btf_status check_source(btf_context *ctx, const char *label, btf_dataset_desc *d) {
   static const btf_strides none = {0, 0, 0, 0, 0};
@@ -205,6 +231,7 @@ static btf_status fill(btf_dataset *ds, const btf_dataset_desc *desc, const char
   btf_dataset_desc d = *desc;
   BTFI_TRY(btfi_dataset_check_shape(ctx, label, &d));
   BTFI_TRY(check_source(ctx, label, &d));
+  BTFI_TRY(check_notes(ctx, label, d.notes));
   ds->label = btfi_strdup(ctx, label);
   if (!ds->label) return btfi_alloc_status();
   ds->kernels = btfi_convert_select(d.sample_type, btfi_isa(ctx));

@@ -81,9 +81,9 @@ static btf_status check_fit(const btf_dataset *ds, const btf_codec *codec, const
   const btf_codec_vtbl *v = btfi_codec_vtbl(codec);
   const btf_dataset_desc *desc = btfi_dataset_desc(ds);
   btf_context *ctx = btfi_codec_context(codec);
-  if (options != NULL && btfi_options_codec(options) != codec)
-    return btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: the options are those of the codec %s", v->id,
-                     btf_codec_id(btfi_options_codec(options)));
+  if (options != NULL && !btfi_options_are_of(options, codec))
+    return btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: the options are those of %s", v->id,
+                     btfi_options_owner(options));
   if (v->fit == NULL)
     return btfi_fail(ctx, BTF_E_UNSUPPORTED, "%s: this codec only reads; it cannot compress", v->id);
   if ((v->caps & BTF_CAP_RGB_ONLY) != 0 && desc->channels != 3)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* The host table: what codecs may call. */
+/* The host table: what codecs and formats may call. */
 #include "dataset/dataset.h"
 #include "dataset/matrix.h"
 #include "registry/registry.h"
@@ -104,6 +104,11 @@ static const btf_host host = {
     .cholesky_solve = btfi_cholesky_solve,
     .measure = btfi_measure,
     .svd_dataset = btfi_decompose,
+    .dirset_create = btf_dirset_create,
+    .dirset_create_named = btf_dirset_create_named,
+    .dirset_release = btf_dirset_release,
+    .dataset_create = btf_dataset_create,
+    .source_error = btf_source_error,
 };
 
 const btf_host *btfi_host(void) {

@@ -1,24 +1,17 @@
 /* SPDX-License-Identifier: MIT */
-/* Options of a codec: text in, checked at once, numbers out. */
+/* Options of a codec or a format: text in, checked at once, numbers out. */
 #include "registry/codec.h"
 
 #include <locale.h>
 #include <math.h>
-#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* A name that a fit asked for although its codec has no such parameter. Asked from any thread of the fit. */
-typedef struct wrong_name {
-  atomic_flag taken; /* by the first */
-  char text[64];
-} wrong_name;
-
 struct btf_options {
-  const btf_codec *codec;
-  btfi_value *values; /* one for each parameter */
-  wrong_name *wrong;  /* during a fit */
+  const btfi_params *params;
+  btfi_value *values;     /* one for each parameter */
+  btfi_wrong_name *wrong; /* during a fit or an opening */
 };
 
 /* ---- reading one value ---- */
@@ -134,46 +127,57 @@ btf_status btfi_param_parse(btf_context *ctx, const btf_param_desc *param, const
 
 static const btf_param_desc *find(const btf_options *options, const char *name, uint32_t *i) {
   if (name == NULL) return NULL;
-  for (*i = 0; *i < options->codec->param_count; ++*i)
-    if (strcmp(options->codec->params[*i].name, name) == 0) return &options->codec->params[*i];
+  for (*i = 0; *i < options->params->count; ++*i)
+    if (strcmp(options->params->list[*i].name, name) == 0) return &options->params->list[*i];
   return NULL;
 }
 
-static btf_status refuse_name(const btf_codec *codec, const char *name) {
+static btf_status refuse_name(const btfi_params *params, const char *name) {
   char list[512] = "";
-  for (uint32_t i = 0; i < codec->param_count; i++) {
+  for (uint32_t i = 0; i < params->count; i++) {
     if (i != 0) append(list, sizeof list, ", ");
-    append(list, sizeof list, codec->params[i].name);
+    append(list, sizeof list, params->list[i].name);
   }
-  return btfi_fail(codec->ctx, BTF_E_INVALID_ARG, "%s has no parameter \"%.80s\"; it has %s", codec->vtbl.id,
+  return btfi_fail(params->ctx, BTF_E_INVALID_ARG, "%s has no parameter \"%.80s\"; it has %s", params->owner,
                    name != NULL ? name : "", *list != '\0' ? list : "none");
 }
 
-btf_status btf_options_create(const btf_codec *codec, btf_options **out) {
-  btf_options *o;
-  if (out != NULL) *out = NULL;
-  if (codec == NULL || out == NULL)
-    return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_options_create: codec and out must not be NULL");
-  o = btfi_calloc(codec->ctx, 1, sizeof *o);
+btf_status btfi_options_create(const btfi_params *params, btf_options **out) {
+  btf_context *ctx = params->ctx;
+  btf_options *o = btfi_calloc(ctx, 1, sizeof *o);
   if (o == NULL) return btfi_alloc_status();
-  o->codec = codec;
-  o->values = btfi_calloc(codec->ctx, codec->param_count, sizeof *o->values);
+  o->params = params;
+  o->values = btfi_calloc(ctx, params->count, sizeof *o->values);
   if (o->values == NULL) {
-    btfi_free(codec->ctx, o);
+    btfi_free(ctx, o);
     return btfi_alloc_status();
   }
-  for (uint32_t i = 0; i < codec->param_count; i++) {
+  for (uint32_t i = 0; i < params->count; i++) {
     const btf_status status =
-        btfi_param_parse(codec->ctx, &codec->params[i], codec->params[i].default_text, &o->values[i].number);
+        btfi_param_parse(ctx, &params->list[i], params->list[i].default_text, &o->values[i].number);
     if (status != BTF_OK) {
-      btfi_free(codec->ctx, o->values);
-      btfi_free(codec->ctx, o);
+      btfi_free(ctx, o->values);
+      btfi_free(ctx, o);
       return status;
     }
   }
-  btfi_context_retain(codec->ctx);
+  btfi_context_retain(ctx);
   *out = o;
   return BTF_OK;
+}
+
+btf_status btf_options_create(const btf_codec *codec, btf_options **out) {
+  if (out != NULL) *out = NULL;
+  if (codec == NULL || out == NULL)
+    return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_options_create: codec and out must not be NULL");
+  return btfi_options_create(&codec->params, out);
+}
+
+btf_status btf_format_options_create(const btf_format *format, btf_options **out) {
+  if (out != NULL) *out = NULL;
+  if (format == NULL || out == NULL)
+    return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_format_options_create: format and out must not be NULL");
+  return btfi_options_create(&format->params, out);
 }
 
 btf_status btf_options_set(btf_options *options, const char *name, const char *value) {
@@ -184,11 +188,11 @@ btf_status btf_options_set(btf_options *options, const char *name, const char *v
   if (options == NULL || value == NULL)
     return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_options_set: options and value must not be NULL");
   p = find(options, name, &i);
-  if (p == NULL) return refuse_name(options->codec, name);
-  BTFI_TRY(btfi_param_parse(options->codec->ctx, p, value, &number));
-  copy = btfi_strdup(options->codec->ctx, value);
+  if (p == NULL) return refuse_name(options->params, name);
+  BTFI_TRY(btfi_param_parse(options->params->ctx, p, value, &number));
+  copy = btfi_strdup(options->params->ctx, value);
   if (copy == NULL) return btfi_alloc_status();
-  btfi_free(options->codec->ctx, options->values[i].text);
+  btfi_free(options->params->ctx, options->values[i].text);
   options->values[i].text = copy;
   options->values[i].number = number;
   return BTF_OK;
@@ -202,10 +206,10 @@ btf_status btf_options_get(const btf_options *options, const char *name, char *b
   if (options == NULL || buf == NULL)
     return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_options_get: options and buf must not be NULL");
   p = find(options, name, &i);
-  if (p == NULL) return refuse_name(options->codec, name);
+  if (p == NULL) return refuse_name(options->params, name);
   text = options->values[i].text != NULL ? options->values[i].text : p->default_text;
   if (strlen(text) >= size)
-    return btfi_fail(options->codec->ctx, BTF_E_LIMIT, "%s: its value needs %llu bytes, the buffer has %llu",
+    return btfi_fail(options->params->ctx, BTF_E_LIMIT, "%s: its value needs %llu bytes, the buffer has %llu",
                      p->name, (unsigned long long)strlen(text) + 1, (unsigned long long)size);
   memcpy(buf, text, strlen(text) + 1);
   return BTF_OK;
@@ -214,18 +218,24 @@ btf_status btf_options_get(const btf_options *options, const char *name, char *b
 void btf_options_release(btf_options *options) {
   btf_context *ctx;
   if (options == NULL) return;
-  ctx = options->codec->ctx;
-  for (uint32_t i = 0; i < options->codec->param_count; i++) btfi_free(ctx, options->values[i].text);
+  ctx = options->params->ctx;
+  for (uint32_t i = 0; i < options->params->count; i++) btfi_free(ctx, options->values[i].text);
   btfi_free(ctx, options->values);
   btfi_free(ctx, options);
   btf_context_release(ctx);
 }
 
-const btf_codec *btfi_options_codec(const btf_options *options) {
-  return options->codec;
+bool btfi_options_are_of_params(const btf_options *options, const btfi_params *params) {
+  return options->params == params;
+}
+bool btfi_options_are_of(const btf_options *options, const btf_codec *codec) {
+  return options->params == &codec->params;
+}
+const char *btfi_options_owner(const btf_options *options) {
+  return options->params->owner;
 }
 
-/* The same for a codec that fits: a wrong name is its mistake and ends the fit. */
+/* The same for a codec or format at work: a wrong name is its mistake and ends the work. */
 static const btf_param_desc *find_asked(const btf_options *options, const char *name, uint32_t *i) {
   const btf_param_desc *p = find(options, name, i);
   if (p == NULL && options->wrong != NULL && !atomic_flag_test_and_set(&options->wrong->taken))
@@ -233,17 +243,33 @@ static const btf_param_desc *find_asked(const btf_options *options, const char *
   return p;
 }
 
+static btf_status wrong_name(const btfi_params *params, btfi_wrong_name *wrong, btf_status status) {
+  if (!atomic_flag_test_and_set(&wrong->taken)) return status;
+  return btfi_fail(params->ctx, BTF_E_INVALID_ARG,
+                   "%s: it asks for an option \"%s\", which is none of its parameters", params->owner,
+                   wrong->text);
+}
+
 btf_status btfi_codec_fit(const btf_codec *codec, const btf_dataset *ds, const btf_options *options,
                           const btf_job *job, btf_chunk_writer *payload) {
   btf_options asked = *options;
-  wrong_name wrong = {.taken = ATOMIC_FLAG_INIT};
-  btf_status status;
+  btfi_wrong_name wrong = {.taken = ATOMIC_FLAG_INIT};
   asked.wrong = &wrong;
-  status = codec->vtbl.fit(btfi_host(), codec->ctx, ds, &asked, job, payload);
-  if (!atomic_flag_test_and_set(&wrong.taken)) return status;
-  return btfi_fail(codec->ctx, BTF_E_INVALID_ARG,
-                   "%s: the codec asks for an option \"%s\", which is none of its parameters", codec->vtbl.id,
-                   wrong.text);
+  const btf_status status = codec->vtbl.fit(btfi_host(), codec->ctx, ds, &asked, job, payload);
+  return wrong_name(&codec->params, &wrong, status);
+}
+
+btf_status btfi_format_open_with(const btf_format *format, const char *path, const btf_options *options,
+                                 btf_dataset **out) {
+  btf_options asked = *options;
+  btfi_wrong_name wrong = {.taken = ATOMIC_FLAG_INIT};
+  asked.wrong = &wrong;
+  const btf_status status =
+      wrong_name(&format->params, &wrong, format->vtbl.open(btfi_host(), format->ctx, path, &asked, out));
+  if (status == BTF_OK) return BTF_OK;
+  btf_dataset_release(*out);
+  *out = NULL;
+  return status;
 }
 
 double btfi_option(const btf_options *options, const char *name) {

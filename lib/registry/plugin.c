@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* Loading codec modules: by absolute path, on request, all of a module's codecs or none. */
+/* Loading modules: by absolute path, on request, all of a module's codecs and formats or none. */
 #include "registry/codec.h"
 
 #include <dlfcn.h>
@@ -7,14 +7,17 @@
 #include <string.h>
 #include <sys/stat.h>
 
+/* What this project builds as modules keeps its short ids. */
+static bool is_own(const btf_plugin_info *info) {
+  return info->name != NULL && strncmp(info->name, "libbtf ", 7) == 0;
+}
+
 /* Codecs of one module, checked but not yet visible. */
 static btf_status check_codecs(btf_context *ctx, const btf_plugin_info *info, btf_codec **codecs) {
-  /* Codecs of this project may be built as modules and keep their short ids. */
-  const bool own = info->name != NULL && strncmp(info->name, "libbtf ", 7) == 0;
   for (uint32_t i = 0; i < info->codec_count; i++) {
     if (info->codecs[i] == NULL)
       return btfi_fail(ctx, BTF_E_PLUGIN, "codec %u of the module is NULL", (unsigned)i);
-    BTFI_TRY(btfi_codec_create(ctx, info->codecs[i], own, &codecs[i]));
+    BTFI_TRY(btfi_codec_create(ctx, info->codecs[i], is_own(info), &codecs[i]));
     for (uint32_t k = 0; k < i; k++)
       if (strcmp(codecs[k]->vtbl.id, codecs[i]->vtbl.id) == 0)
         return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the module has this codec twice", codecs[i]->vtbl.id);
@@ -22,7 +25,21 @@ static btf_status check_codecs(btf_context *ctx, const btf_plugin_info *info, bt
   return BTF_OK;
 }
 
-static btf_status check_info(btf_context *ctx, const char *path, const btf_plugin_info *info) {
+static btf_status check_formats(btf_context *ctx, const btf_plugin_info *info, btf_format **formats) {
+  for (uint32_t i = 0; i < info->format_count; i++) {
+    if (info->formats[i] == NULL)
+      return btfi_fail(ctx, BTF_E_PLUGIN, "format %u of the module is NULL", (unsigned)i);
+    BTFI_TRY(btfi_format_create(ctx, info->formats[i], is_own(info), &formats[i]));
+    for (uint32_t k = 0; k < i; k++)
+      if (strcmp(formats[k]->vtbl.id, formats[i]->vtbl.id) == 0)
+        return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the module has this format twice", formats[i]->vtbl.id);
+  }
+  return BTF_OK;
+}
+
+/* `known` becomes what this library knows of it. */
+static btf_status check_info(btf_context *ctx, const char *path, const btf_plugin_info *info,
+                             btf_plugin_info *known) {
   if (info == NULL)
     return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the module refuses this library (ABI %u)", path, LIBBTF_ABI);
   if (info->abi != LIBBTF_ABI)
@@ -35,27 +52,44 @@ static btf_status check_info(btf_context *ctx, const char *path, const btf_plugi
     return btfi_fail(ctx, BTF_E_PLUGIN,
                      "%s: the module needs a newer libbtf: %u bytes of the host table; this library has %u",
                      path, (unsigned)info->host_size_needed, (unsigned)sizeof(btf_host));
-  if (info->codecs == NULL || info->codec_count == 0 || info->codec_count > 1024)
-    return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the module offers %u codecs; expected 1 to 1024", path,
-                     info->codecs != NULL ? (unsigned)info->codec_count : 0u);
+  memcpy(known, info, BTFI_MIN(info->struct_size, sizeof *known));
+  info = known;
+  if (info->reserved != 0)
+    return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the reserved field of the module's description is not 0", path);
+  if ((info->codecs == NULL) != (info->codec_count == 0) ||
+      (info->formats == NULL) != (info->format_count == 0) || info->codec_count > 1024 ||
+      info->format_count > 1024 || (info->codecs == NULL && info->formats == NULL))
+    return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the module offers %u codecs and %u formats; expected 1 to 1024",
+                     path, info->codecs != NULL ? (unsigned)info->codec_count : 0u,
+                     info->formats != NULL ? (unsigned)info->format_count : 0u);
   return BTF_OK;
 }
 
-static btf_status add_codecs(btf_context *ctx, const char *path, const btf_plugin_info *info) {
-  btf_codec **codecs;
-  btf_status status;
-  BTFI_TRY(check_info(ctx, path, info));
+static btf_status add_all(btf_context *ctx, const btf_plugin_info *info, btf_codec **codecs,
+                          btf_format **formats) {
   BTFI_TRY(btfi_registry_reserve_codecs(ctx, info->codec_count));
-  codecs = btfi_calloc(ctx, info->codec_count, sizeof *codecs);
-  if (codecs == NULL) return btfi_alloc_status();
-  status = check_codecs(ctx, info, codecs);
-  for (uint32_t i = 0; i < info->codec_count; i++) {
-    if (status == BTF_OK)
-      btfi_registry_add(ctx, codecs[i]);
-    else
-      btfi_codec_destroy(codecs[i]);
+  BTFI_TRY(btfi_registry_reserve_formats(ctx, info->format_count));
+  BTFI_TRY(check_codecs(ctx, info, codecs));
+  BTFI_TRY(check_formats(ctx, info, formats));
+  for (uint32_t i = 0; i < info->codec_count; i++) btfi_registry_add(ctx, codecs[i]);
+  for (uint32_t i = 0; i < info->format_count; i++) btfi_registry_add_format(ctx, formats[i]);
+  return BTF_OK;
+}
+
+static btf_status add_module(btf_context *ctx, const char *path, const btf_plugin_info *given) {
+  btf_plugin_info known = {0};
+  const btf_plugin_info *const info = &known;
+  BTFI_TRY(check_info(ctx, path, given, &known));
+  btf_codec **codecs = btfi_calloc(ctx, info->codec_count, sizeof *codecs);
+  btf_format **formats = btfi_calloc(ctx, info->format_count, sizeof *formats);
+  btf_status status =
+      codecs != NULL && formats != NULL ? add_all(ctx, info, codecs, formats) : btfi_alloc_status();
+  if (status != BTF_OK) {
+    for (uint32_t i = 0; codecs != NULL && i < info->codec_count; i++) btfi_codec_destroy(codecs[i]);
+    for (uint32_t i = 0; formats != NULL && i < info->format_count; i++) btfi_format_destroy(formats[i]);
   }
   btfi_free(ctx, codecs);
+  btfi_free(ctx, formats);
   if (status == BTF_E_PLUGIN || status == BTF_E_ABI) {
     char reason[512];
     strncpy(reason, btf_error_message(), sizeof reason - 1);
@@ -63,6 +97,13 @@ static btf_status add_codecs(btf_context *ctx, const char *path, const btf_plugi
     status = btfi_fail(ctx, BTF_E_PLUGIN, "%s: %s", path, reason);
   }
   return status;
+}
+
+btf_status btf_context_register_plugin(btf_context *ctx, const btf_plugin_info *plugin) {
+  if (ctx == NULL || plugin == NULL)
+    return btfi_fail(ctx, BTF_E_INVALID_ARG,
+                     "btf_context_register_plugin: context and plug-in must not be NULL");
+  return add_module(ctx, "plug-in", plugin);
 }
 
 static btf_status open_module(btf_context *ctx, const char *path, void **module) {
@@ -95,7 +136,7 @@ btf_status btf_context_load_plugin(btf_context *ctx, const char *absolute_path) 
                   absolute_path, BTF_PLUGIN_ENTRY_NAME);
   } else {
     memcpy(&entry, &symbol, sizeof entry); /* the way POSIX means a symbol to become a function */
-    status = add_codecs(ctx, absolute_path, entry(LIBBTF_ABI));
+    status = add_module(ctx, absolute_path, entry(LIBBTF_ABI));
   }
   if (status != BTF_OK) {
     dlclose(module);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* The codecs of a context. */
+/* The codecs of a context, and room for its formats. */
 #include "registry/codec.h"
 
 #include <dlfcn.h>
@@ -10,8 +10,10 @@ extern const btf_codec_vtbl *const btfi_builtin_codecs[];
 static void destroy(btf_context *ctx, void *user) {
   btfi_registry *r = user;
   for (uint32_t i = 0; i < r->count; i++) btfi_codec_destroy(r->codecs[i]);
+  for (uint32_t i = 0; i < r->format_count; i++) btfi_format_destroy(r->formats[i]);
   for (uint32_t i = 0; i < r->module_count; i++) dlclose(r->modules[i]);
   btfi_free(ctx, r->codecs);
+  btfi_free(ctx, r->formats);
   btfi_free(ctx, r->modules);
   btfi_free(ctx, r);
 }
@@ -20,7 +22,7 @@ static btf_status reserve(btf_context *ctx, void **array, uint32_t count, uint32
   const uint64_t wanted = (uint64_t)count + more;
   void *copy;
   if (wanted <= *capacity) return BTF_OK;
-  if (wanted > 65536) return btfi_fail(ctx, BTF_E_LIMIT, "a context holds at most 65536 codecs");
+  if (wanted > 65536) return btfi_fail(ctx, BTF_E_LIMIT, "a context holds at most 65536 codecs or formats");
   copy = btfi_alloc(ctx, wanted + 8, sizeof(void *));
   if (copy == NULL) return btfi_alloc_status();
   if (count != 0) memcpy(copy, *array, count * sizeof(void *));
@@ -38,6 +40,14 @@ btf_status btfi_registry_reserve_codecs(btf_context *ctx, uint32_t n) {
   return BTF_OK;
 }
 
+btf_status btfi_registry_reserve_formats(btf_context *ctx, uint32_t n) {
+  btfi_registry *r = btfi_context_registry(ctx);
+  void *array = r->formats;
+  BTFI_TRY(reserve(ctx, &array, r->format_count, &r->format_capacity, n));
+  r->formats = array;
+  return BTF_OK;
+}
+
 btf_status btfi_registry_reserve_module(btf_context *ctx) {
   btfi_registry *r = btfi_context_registry(ctx);
   void *array = r->modules;
@@ -49,6 +59,11 @@ btf_status btfi_registry_reserve_module(btf_context *ctx) {
 void btfi_registry_add(btf_context *ctx, btf_codec *codec) {
   btfi_registry *r = btfi_context_registry(ctx);
   r->codecs[r->count++] = codec;
+}
+
+void btfi_registry_add_format(btf_context *ctx, btf_format *format) {
+  btfi_registry *r = btfi_context_registry(ctx);
+  r->formats[r->format_count++] = format;
 }
 
 static btf_status add(btf_context *ctx, const btf_codec_vtbl *vtbl, bool builtin) {
@@ -65,7 +80,7 @@ btf_status btfi_registry_attach(btf_context *ctx) {
   btfi_context_set_registry(ctx, r, destroy);
   for (const btf_codec_vtbl *const *codec = btfi_builtin_codecs; *codec != NULL; codec++)
     BTFI_TRY(add(ctx, *codec, true));
-  return BTF_OK;
+  return btfi_registry_attach_formats(ctx);
 }
 
 btf_status btf_context_register(btf_context *ctx, const btf_codec_vtbl *codec) {
@@ -102,15 +117,12 @@ uint64_t btf_codec_caps(const btf_codec *codec) {
   return codec->vtbl.caps;
 }
 uint32_t btf_codec_param_count(const btf_codec *codec) {
-  return codec->param_count;
+  return codec->params.count;
 }
 
 btf_status btf_codec_param(const btf_codec *codec, uint32_t i, btf_param_desc *io) {
-  if (codec == NULL || i >= codec->param_count)
-    return btfi_fail(codec != NULL ? codec->ctx : NULL, BTF_E_INVALID_ARG,
-                     "btf_codec_param: there is no parameter %u", i);
-  return btfi_copy_out(codec->ctx, "btf_param_desc", io, BTFI_SIZE_TO(btf_param_desc, flags),
-                       &codec->params[i], sizeof *io);
+  if (codec == NULL) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_codec_param: codec must not be NULL");
+  return btfi_params_describe(&codec->params, i, io);
 }
 
 const btf_codec_vtbl *btfi_codec_vtbl(const btf_codec *codec) {

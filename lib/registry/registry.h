@@ -10,12 +10,17 @@
 const btf_host *btfi_host(void);
 const btf_codec_vtbl *btfi_codec_vtbl(const btf_codec *codec); /* full-size copy: absent slots are NULL */
 btf_context *btfi_codec_context(const btf_codec *codec);
-const btf_codec *btfi_options_codec(const btf_options *options);
+bool btfi_options_are_of(const btf_options *options, const btf_codec *codec);
+const char *btfi_options_owner(const btf_options *options);
 
 /* Runs the codec's fit. BTF_E_INVALID_ARG, whatever the fit returned, if it asked for an option that the
  * codec does not have: what it went on with was no value of anybody's. */
 btf_status btfi_codec_fit(const btf_codec *codec, const btf_dataset *ds, const btf_options *options,
                           const btf_job *job, btf_chunk_writer *payload);
+
+/* Runs the format's open, likewise. */
+btf_status btfi_format_open_with(const btf_format *format, const char *path, const btf_options *options,
+                                 btf_dataset **out);
 
 /* Host table entries: values by parameter name; 0 or NULL for a name the codec does not have. */
 double btfi_option(const btf_options *options, const char *name);

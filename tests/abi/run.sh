@@ -21,12 +21,13 @@ verdict() { # name status
 
 # Debug information makes abidw see types, so the library is built anew with it.
 cmake -S "$source" -B "$work/build" -DCMAKE_BUILD_TYPE=Debug -DLIBBTF_BUILD_TOOLS=OFF -DLIBBTF_BUILD_TESTS=OFF \
-  -DLIBBTF_BUILD_EXAMPLES=OFF -DLIBBTF_BUILD_BENCH=OFF -DLIBBTF_INSTALL=OFF >/dev/null
+  -DLIBBTF_BUILD_EXAMPLES=OFF -DLIBBTF_BUILD_FORMATS=OFF -DLIBBTF_BUILD_BENCH=OFF -DLIBBTF_INSTALL=OFF >/dev/null
 cmake --build "$work/build" --target btf_shared -- -s >/dev/null 2>&1 || cmake --build "$work/build" --target btf_shared >/dev/null
 library=$(find "$work/build" -name 'libbtfcore.so.*.*' | head -1)
 
 # Declarations: the text from LIBBTF_API to the first parenthesis ends with the function's name.
-cat "$source"/include/btf/*.h | grep -v '^ *\*\|^#' | tr '\n' ' ' | sed 's/;/;\n/g' |
+# btf_formats.h is of another library.
+find "$source/include/btf" -name '*.h' ! -name btf_formats.h -exec cat {} + | grep -v '^ *\*\|^#' | tr '\n' ' ' | sed 's/;/;\n/g' |
   grep -o 'LIBBTF_API[^(;]*(' | grep -o 'btf_[a-z0-9_]*($' | tr -d '(' | LC_ALL=C sort -u >"$work/header"
 sed -n '/global:/,/local:/p' "$source/lib/libbtf.map" | grep -o 'btf_[a-z0-9_]*' | LC_ALL=C sort >"$work/map"
 nm -D --defined-only "$library" | awk '$2 != "A" { sub(/@.*/, "", $3); print $3 }' | LC_ALL=C sort >"$work/exported"

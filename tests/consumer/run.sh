@@ -66,6 +66,13 @@ pkg_shared() {
 check "pkg-config shared" pkg_shared
 
 # shellcheck disable=SC2046
+pkg_formats() {
+  ${CC:-cc} -std=c99 -Wall -Wextra -Wpedantic -Werror "$source/tests/consumer/formats.c" \
+    -o "$work/pkg_formats" $(pkg-config --cflags --libs libbtf-formats) && "$work/pkg_formats"
+}
+if [ -e "$libdir/pkgconfig/libbtf-formats.pc" ]; then check "pkg-config of the formats" pkg_formats; fi
+
+# shellcheck disable=SC2046
 pkg_static() {
   ${CC:-cc} -std=c99 -DLIBBTF_STATIC "$source/tests/consumer/consumer.c" -o "$work/pkg_static" $(pkg-config --cflags libbtf) \
     "$(pkg-config --variable=libdir libbtf)/libbtfcore.a" $(pkg-config --static --libs-only-l libbtf | sed 's/-lbtfcore//') &&
@@ -73,7 +80,7 @@ pkg_static() {
 }
 check "pkg-config static" pkg_static
 
-for header in btf btf_base btf_dataset btf_model btf_io btf_plugin btf_codec btf_half btf_sampling; do
+for header in btf btf_base btf_dataset btf_model btf_format btf_formats btf_io btf_plugin btf_codec btf_half btf_sampling; do
   printf '#include <btf/%s.h>\nint main(void) { return 0; }\n' $header >"$work/one.c"
   check "$header.h alone as C99" ${CC:-cc} -std=c99 -Wall -Wextra -Wpedantic -Wpadded -Werror -fsyntax-only -I"$source/include" "$work/one.c"
   check "$header.h alone as C++11" ${CXX:-c++} -x c++ -std=c++11 -Wall -Wextra -Wpedantic -Werror -fsyntax-only -I"$source/include" "$work/one.c"

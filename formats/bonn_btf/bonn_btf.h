@@ -1,0 +1,72 @@
+/* SPDX-License-Identifier: MIT */
+/* bonn_btf.h: inside of the reader of Bonn's `.btf` containers (UBO2014 and relatives). */
+#ifndef BTF_FORMATS_BONN_BTF_H
+#define BTF_FORMATS_BONN_BTF_H
+
+#include "source/source_file.h"
+
+typedef enum bonn_family { BONN_DFMF, BONN_FMF, BONN_PVF, BONN_BDI } bonn_family;
+
+/* One side of a factorisation: rows of k scalars, of which every step-th from an offset on is of one channel.
+ */
+typedef struct bonn_side {
+  const unsigned char *rows;
+  uint64_t count;            /* of rows */
+  const unsigned char *mean; /* one scalar for each row, added to what is made of it; NULL = none */
+} bonn_side;
+
+/* value = dot(angular row, texel row); the channel is part of the row number on the side where there are
+ * more. */
+typedef struct bonn_factor {
+  uint32_t scalar_size, k;
+  bool channels_by_texel; /* the transposed form of FMF and PVF */
+  bonn_side angular, texel;
+} bonn_factor;
+
+/* Raw samples (BDI): the field of a texel. */
+typedef struct bonn_fields {
+  uint32_t chunk_rows; /* rows of texels in a chunk */
+  const unsigned char **chunks;
+  uint32_t *rank; /* of a texel among those of its chunk that are there; NULL = all are */
+} bonn_fields;
+
+typedef struct bonn_file {
+  source_file file;
+  bonn_family family;
+  uint32_t version;
+  char setup[81], sensor[81], light_source[81];
+  float texels_per_mm, rgb_scale[3];
+  uint32_t cosine;
+  uint32_t channels;
+  char **channel_names; /* NULL = R, G, B */
+  uint32_t view_count, light_count;
+  float *views, *lights; /* unit vectors */
+  uint32_t width, height;
+  uint32_t rotations;
+  uint32_t colour_model;
+  float colour_mean[3], colour_matrix[9];
+  uint32_t dynamic_range;
+  bonn_factor *factors; /* DFMF: one a channel; FMF: one; PVF: one a view */
+  uint32_t factor_count;
+  bonn_fields fields;
+} bonn_file;
+
+/* header.c: everything but the samples, checked. On failure bonn_file_close is still due. */
+btf_status bonn_file_parse(bonn_file *bonn);
+void bonn_file_close(bonn_file *bonn);
+bool bonn_is_signature(const unsigned char *head, uint64_t size);
+
+/* factors.c, fields.c: what follows the directions and sizes, up to the end of the file. */
+btf_status bonn_parse_factors(bonn_file *bonn, cursor *c);
+btf_status bonn_parse_fields(bonn_file *bonn, cursor *c);
+btf_status bonn_truncated(const bonn_file *bonn, const char *within);
+
+/* colour.c: whether the model is one that is known for this many channels; and stored channels, planes of n
+ * values, to reflectance. */
+btf_status bonn_check_colour(const bonn_file *bonn);
+void bonn_to_reflectance(const bonn_file *bonn, float *const *planes, size_t n);
+
+/* read.c: the data set's source. */
+btf_status bonn_read(void *user, const btf_block *block, void *dst, const btf_strides *strides);
+
+#endif

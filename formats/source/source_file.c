@@ -1,0 +1,81 @@
+/* SPDX-License-Identifier: MIT */
+#include "source/source_file.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+static btf_status fail_system(source_file *file) {
+  const int error = errno;
+  const btf_status status =
+      (file->host->fail)(file->ctx, BTF_E_IO, "%s: could not be read: %s", file->path, strerror(error));
+  source_file_close(file);
+  return status;
+}
+
+btf_status source_file_open(const btf_host *host, btf_context *ctx, const char *path, source_file *out) {
+  struct stat info;
+  *out = (source_file){.host = host, .ctx = ctx};
+  const size_t length = strlen(path) + 1;
+  out->path = (host->alloc)(ctx, length, 1);
+  if (out->path == NULL) return BTF_E_NOMEM;
+  memcpy(out->path, path, length);
+  const int fd = open(path, O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return fail_system(out);
+  if (fstat(fd, &info) != 0 || !S_ISREG(info.st_mode)) {
+    if (!S_ISREG(info.st_mode)) errno = EINVAL;
+    close(fd);
+    return fail_system(out);
+  }
+  out->size = (uint64_t)info.st_size;
+  if (out->size > 0) {
+    void *data = mmap(NULL, out->size, PROT_READ, MAP_PRIVATE, fd, 0);
+    if (data == MAP_FAILED) {
+      close(fd);
+      out->size = 0;
+      return fail_system(out);
+    }
+    out->data = data;
+  }
+  close(fd);
+  return BTF_OK;
+}
+
+void source_file_close(source_file *file) {
+  if (file->data != NULL) munmap((void *)(uintptr_t)file->data, file->size);
+  if (file->path != NULL) (file->host->free)(file->ctx, file->path);
+  file->data = NULL;
+  file->path = NULL;
+}
+
+uint64_t cursor_left(const cursor *c) {
+  return c->ended ? 0 : c->file->size - c->at;
+}
+
+const unsigned char *cursor_take(cursor *c, uint64_t count, uint64_t size) {
+  uint64_t bytes;
+  if (__builtin_mul_overflow(count, size, &bytes) || bytes > cursor_left(c)) {
+    c->ended = true;
+    return NULL;
+  }
+  const unsigned char *data = c->file->data + c->at;
+  c->at += bytes;
+  return data;
+}
+
+uint8_t cursor_u8(cursor *c) {
+  const unsigned char *p = cursor_take(c, 1, 1);
+  return p != NULL ? *p : 0;
+}
+
+uint32_t cursor_u32(cursor *c) {
+  const unsigned char *p = cursor_take(c, 1, 4);
+  return p != NULL ? btf_get_u32(p) : 0;
+}
+
+float cursor_f32(cursor *c) {
+  const unsigned char *p = cursor_take(c, 1, 4);
+  return p != NULL ? btf_get_f32(p) : 0;
+}

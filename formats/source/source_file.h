@@ -1,0 +1,37 @@
+/* SPDX-License-Identifier: MIT */
+/* source_file.h: a mapped file of measured data and a cursor that cannot leave it. Numbers are little-endian.
+ */
+#ifndef BTF_FORMATS_SOURCE_FILE_H
+#define BTF_FORMATS_SOURCE_FILE_H
+
+#include <btf/btf_codec.h>
+#include <stdbool.h>
+
+typedef struct source_file {
+  const btf_host *host;
+  btf_context *ctx;
+  char *path;
+  const unsigned char *data;
+  uint64_t size;
+} source_file;
+
+/* Maps a regular file, which may be empty. On failure there is nothing to close. */
+btf_status source_file_open(const btf_host *host, btf_context *ctx, const char *path, source_file *out);
+void source_file_close(source_file *file);
+
+/* Reads one field after the other. Beyond the end it gives zeros and NULL and stays there, so that a
+ * structure is read whole and asked once whether it was all there. */
+typedef struct cursor {
+  const source_file *file;
+  uint64_t at;
+  bool ended; /* a read would have gone beyond the end */
+} cursor;
+
+uint64_t cursor_left(const cursor *c);
+uint8_t cursor_u8(cursor *c);
+uint32_t cursor_u32(cursor *c);
+float cursor_f32(cursor *c);
+/* count * size bytes in place; NULL beyond the end. */
+const unsigned char *cursor_take(cursor *c, uint64_t count, uint64_t size);
+
+#endif

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+# Measured data: recognised by content, imported, and taken by the other commands as it is.
+
+run import --list
+expect "import --list" 0 "folder: "
+if ! grep -q '^bonn-btf:' out.txt; then
+  skip "measured data: this build has no readers"
+elif ! command -v python3 >/dev/null; then
+  skip "measured data: no python3"
+else
+  # A factored file of 2 x 3 texels, 4 lights and 3 views: value = (light + 1) * (view + 1) * (10 y + x + 1) / 256, the file's
+  # top row first.
+  python3 - <<'END'
+import math, struct
+u32 = lambda *v: struct.pack('<%dI' % len(v), *v)
+f32 = lambda *v: struct.pack('<%df' % len(v), *v)
+out = b'!FMF06FC' + u32(264, 1) + b'dome'.ljust(240, b'\0') + f32(5, 1, 1, 1) + u32(3)
+for v in range(3):
+    out += f32(0.2 + 0.3 * v, v) + u32(4)
+    for l in range(4):
+        out += f32(0.1 + 0.3 * l, -l)
+out += u32(2, 3, 1) + bytes([4]) + u32(1, 3 * 4 * 3, 6) + f32(1)
+out += b''.join(f32((l + 1) * (v + 1)) for v in range(3) for l in range(4) for c in range(3))
+out += b''.join(f32((10 * (2 - row) + x + 1) / 256) for row in range(3) for x in range(2))
+open('measured.jpg', 'wb').write(out)
+open('short.jpg', 'wb').write(out[:-1])
+END
+  run info measured.jpg
+  expect "info of measured data" 0 "Bonn .btf"
+  run info measured.jpg --json
+  expect_json "info --json of measured data"
+  printf '0 0 0 0\n1 2 3 2\n' >places.txt
+  run fetch measured.jpg <places.txt
+  expect "fetch of measured data" 0 "0.00390625 0.00390625 0.00390625
+1.03125 1.03125 1.03125"
+  run import measured.jpg -o imported.btfd --type f32
+  expect "import" 0
+  run compare measured.jpg imported.btfd --json
+  expect "what is imported is what was there" 0 '"rmse": 0'
+  grep -q '"bonn_setup": *"dome"' imported.btfd/manifest.json && pass || fail "what the reader found is in the manifest"
+  run import measured.jpg -o cosine.btfd -p cosine=inside
+  run info cosine.btfd
+  expect "a parameter of a format" 0 "brdf_cos"
+  run import measured.jpg -o x.btfd -p sine=inside
+  expect "an unknown parameter of a format" 1 "sine"
+  run import measured.jpg -o x.btfd --format folder
+  expect "the wrong format" 2 "manifest"
+  run import measured.jpg -o x.btfd --format bonn-bft
+  expect "a misspelt format" 1 "bonn-btf"
+  run import short.jpg -o x.btfd
+  expect "import of a short file" 3 "ends within"
+  [ ! -e x.btfd ] && pass || fail "a failed import left something behind"
+  run encode measured.jpg -o measured.btfz --codec fmf -p components=1 -p storage=f32
+  if [ "$status" != 1 ]; then
+    expect "encode of measured data" 0 "ratio"
+    run encode imported.btfd -o imported.btfz --codec fmf -p components=1 -p storage=f32
+    run compare measured.btfz imported.btfz --json
+    expect "encoding measured data equals encoding the imported folder" 0 '"rmse": 0'
+  else
+    skip "encode of measured data: no fmf"
+  fi
+fi
+run import values.sh -o x.btfd
+expect "import of nothing known" 2
+run import -o x.btfd
+expect "import without a path" 1 "PATH"
