@@ -9,6 +9,7 @@
 #include <time.h>
 
 #include <btf/btf.h>
+#include <btf/btf_sampling.h>
 
 static double clock_seconds(clockid_t clock) {
   struct timespec t;
@@ -31,17 +32,20 @@ static btf_status open_part(btf_context *ctx, const btf_dataset *whole, uint32_t
   return btf_dataset_create(ctx, &desc, out);
 }
 
-/* Relative error over some texels, all their samples. */
-static double relative_error(const btf_model *model, const btf_model *raw, const btf_dataset_desc *shape) {
+/* Relative error over all samples of `most` texels of a level. */
+static double relative_error(const btf_model *model, const btf_model *raw, const btf_dataset_desc *shape,
+                             uint32_t level, uint32_t most) {
   const uint32_t lights = btf_dirset_count(shape->lights), views = btf_dirset_count(shape->views);
-  const uint32_t texels = shape->width * shape->height, step = texels / 512 > 0 ? texels / 512 : 1;
+  const uint32_t width = btf_sampling_level_size(shape->width, level),
+                 height = btf_sampling_level_size(shape->height, level);
+  const uint32_t texels = width * height, step = texels / most > 0 ? texels / most : 1;
   double squared = 0.0, energy = 0.0;
   for (uint32_t t = 0; t < texels; t += step)
     for (uint32_t view = 0; view < views; view++)
       for (uint32_t light = 0; light < lights; light++) {
         float a[64], b[64];
-        btf_model_texel(model, 0, t % shape->width, t / shape->width, light, view, a);
-        btf_model_texel(raw, 0, t % shape->width, t / shape->width, light, view, b);
+        btf_model_texel(model, level, t % width, t / width, light, view, a);
+        btf_model_texel(raw, level, t % width, t / width, light, view, b);
         for (uint32_t c = 0; c < shape->channels; c++) {
           squared += ((double)a[c] - b[c]) * ((double)a[c] - b[c]);
           energy += (double)b[c] * b[c];
@@ -71,6 +75,7 @@ int main(int argc, char **argv) {
   btf_options *options = NULL;
   btf_model *model = NULL, *raw = NULL;
   btf_dataset_desc all = BTF_DATASET_DESC_INIT, some = BTF_DATASET_DESC_INIT;
+  btf_model_info levels = BTF_MODEL_INFO_INIT;
   uint64_t peak = 0;
   if (folder == NULL) {
     fprintf(
@@ -97,7 +102,10 @@ int main(int argc, char **argv) {
   if (btf_model_from_dataset(part, NULL, &raw) != BTF_OK) return fail("reference");
   printf("%u x %u texels, %s clusters of %s components\n", some.width, some.height, clusters, components);
   printf("lpca          seconds %.4f processor %.4f error %.8f peak %.1f MiB\n", seconds, used,
-         relative_error(model, raw, &some), (double)peak / 1048576.0);
+         relative_error(model, raw, &some, 0, 512), (double)peak / 1048576.0);
+  if (btf_model_describe(model, &levels) != BTF_OK) return fail("levels");
+  for (uint32_t level = 0; level < levels.levels; level++)
+    printf("lpca          level %u error %.5f\n", level, relative_error(model, raw, &some, level, 4096));
   fflush(stdout);
   const int failed = peer != NULL ? run_peer(peer, folder, &all, &some, clusters, components) : 0;
   btf_model_release(raw);

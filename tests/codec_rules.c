@@ -204,25 +204,11 @@ void rule_expect_equal(const btf_model *a, const btf_model *b) {
 }
 
 void rule_batch_make(rule_batch *b, uint32_t first, uint32_t flags) {
-  const btf_batch empty = BTF_BATCH_INIT;
-  b->batch = empty;
-  for (uint32_t i = 0; i < RULE_QUERIES; i++) {
-    const btf_query q = codec_case_query(first + i);
-    for (int k = 0; k < 3; k++) {
-      b->arrays[k][i] = q.light[k];
-      b->arrays[3 + k][i] = q.view[k];
-    }
-    for (int k = 0; k < 2; k++) b->arrays[6 + k][i] = q.uv[k];
-    b->arrays[8][i] = q.lod;
-  }
-  for (int k = 0; k < 3; k++) {
-    b->batch.light[k] = b->arrays[k];
-    b->batch.view[k] = b->arrays[3 + k];
-  }
-  for (int k = 0; k < 2; k++) b->batch.uv[k] = b->arrays[6 + k];
-  b->batch.lod = b->arrays[8];
-  b->batch.count = RULE_QUERIES;
-  b->batch.flags = flags;
+  static btf_query queries[RULE_QUERIES];
+  float *column[9];
+  for (uint32_t i = 0; i < RULE_QUERIES; i++) queries[i] = codec_case_query(first + i);
+  for (int k = 0; k < 9; k++) column[k] = b->arrays[k];
+  b->batch = suite_batch(queries, RULE_QUERIES, flags, column);
   for (int c = 0; c < RULE_CHANNELS; c++) b->out[c] = b->results[c];
   memset(b->results, 0xee, sizeof b->results);
 }

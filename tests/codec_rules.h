@@ -3,8 +3,8 @@
 #ifndef CODEC_RULES_H
 #define CODEC_RULES_H
 
-#include "btf_test.h"
 #include "codec_cases.h"
+#include "codec_suite.h"
 
 typedef struct codec_rule {
   const char *name;

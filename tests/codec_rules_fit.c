@@ -351,11 +351,6 @@ static void working_set_is_kept(const codec_case *row) {
 
 /* ---- quality on demand ---- */
 
-static int compare_floats(const void *a, const void *b) {
-  const float x = *(const float *)a, y = *(const float *)b;
-  return (x > y) - (x < y);
-}
-
 /* The 99.9th percentile of the samples. */
 static double peak_of(const btf_model_info *info, uint32_t material) {
   const codec_material *m = &codec_materials[material];
@@ -371,7 +366,7 @@ static double peak_of(const btf_model_info *info, uint32_t material) {
             values[n++] = codec_material_value(m, btf_dirset_directions(info->lights) + 3 * (size_t)l,
                                                btf_dirset_directions(info->views) + 3 * (size_t)v, x, y, c);
   assert_int_equal(n, count);
-  qsort(values, n, sizeof *values, compare_floats);
+  qsort(values, n, sizeof *values, suite_compare_floats);
   const double peak = values[(size_t)(0.999 * (double)(n - 1))];
   free(values);
   return peak;

@@ -55,6 +55,10 @@ unsigned char *hostile_data(const hostile_payload *p, uint32_t tag) {
 
 /* ---- loading ---- */
 
+static void expect_finite(const float *out, uint32_t channels) {
+  for (uint32_t c = 0; c < channels; c++) assert_true(isfinite(out[c]));
+}
+
 static void evaluate_everywhere(hostile_payload *p, const void *state) {
   const btf_model_shape *shape = &p->model->shape;
   const uint32_t lights = btf_dirset_count(shape->lights), views = btf_dirset_count(shape->views);
@@ -65,6 +69,7 @@ static void evaluate_everywhere(hostile_payload *p, const void *state) {
     draw_direction(p, q.light);
     draw_direction(p, q.view);
     p->codec->eval(state, &q, out);
+    expect_finite(out, shape->channels);
   }
   /* All texels, the last ones of tables among them, and the first and last rows of directions. */
   for (uint32_t level = 0; level < p->codec->levels(state); level++) {
@@ -72,7 +77,9 @@ static void evaluate_everywhere(hostile_payload *p, const void *state) {
                    height = btf_sampling_level_size(shape->height, level);
     for (uint32_t t = 0; t < width * height; t++) {
       p->codec->texel(state, level, t % width, t / width, lights - 1, views - 1, out);
+      expect_finite(out, shape->channels);
       p->codec->texel(state, level, t % width, t / width, 0, 0, out);
+      expect_finite(out, shape->channels);
     }
   }
 }

@@ -292,8 +292,9 @@ static void test_failing_allocations(void **unused) {
     for (long at = 1;; at++) {
       btf_context *ctx = test_context_with(&memory, "scalar", 1);
       material m = material_create(ctx, BUMPS, "grid:4x2", 2, 2, 1);
-      btf_options *options = cmf_options(ctx, settings[i]);
+      btf_options *options;
       btf_model *model;
+      assert_ok(suite_options(ctx, "cmf", settings[i], &options));
       memory.total_allocations = 0;
       memory.fail_at = at;
       const btf_status status = btf_model_fit(m.ds, btf_codec_find(ctx, "cmf"), options, NULL, &model);

@@ -1,12 +1,8 @@
 /* SPDX-License-Identifier: MIT */
-/* Evaluation and loading: interpolation over index maps, batches, instruction sets, hostile payloads. */
+/* Evaluation: interpolation over index maps, batches, instruction sets. */
 #include "test_cmf_fits.h"
 
-#include "container/container.h"
-#include "registry/registry.h"
-
 static test_memory memory;
-extern const btf_codec_vtbl btf_codec_cmf;
 
 /* ---- evaluation: INT02, INT03 ---- */
 
@@ -78,24 +74,6 @@ static void make_queries(btf_query *queries) {
   }
 }
 
-static void eval_batch(const btf_model *model, const btf_query *queries, size_t count, uint32_t flags,
-                       float **out) {
-  static float columns[9][QUERIES];
-  btf_batch batch = BTF_BATCH_INIT;
-  batch.count = count;
-  batch.flags = flags;
-  for (size_t i = 0; i < count; i++)
-    for (int k = 0; k < 9; k++) columns[k][i] = ((const float *)(const void *)&queries[i])[k];
-  for (int k = 0; k < 3; k++) {
-    batch.light[k] = columns[k];
-    batch.view[k] = columns[3 + k];
-  }
-  batch.uv[0] = columns[6];
-  batch.uv[1] = columns[7];
-  batch.lod = columns[8];
-  btf_model_eval_n(model, &batch, BTF_VALUE_STORED, out);
-}
-
 /* Batches equal single queries bit for bit, and all instruction sets agree with the scalar reference to
  * rounding. */
 static void test_batches_and_instruction_sets(void **unused) {
@@ -127,7 +105,7 @@ static void test_batches_and_instruction_sets(void **unused) {
       assert_ok(btf_model_load(other, path, &model));
       for (uint32_t flags = 0; flags < 2; flags++) {
         for (size_t count = 0; count <= QUERIES; count = count < 12 ? count + 1 : count + 94) {
-          eval_batch(model, queries, count, flags ? BTF_QUERY_NEAREST : 0, out);
+          suite_eval_batch(model, queries, count, flags ? BTF_QUERY_NEAREST : 0, out);
           for (size_t n = 0; n < count; n++) {
             float single[8];
             queries[n].flags = flags ? BTF_QUERY_NEAREST : 0;
@@ -158,114 +136,10 @@ static void test_batches_and_instruction_sets(void **unused) {
   }
 }
 
-/* ---- hostile payloads ---- */
-
-enum { MAX_CHUNKS = 64 };
-
-typedef struct chunk_list {
-  btf_context *ctx;
-  btfi_chunk chunk[MAX_CHUNKS];
-  unsigned char *copy[MAX_CHUNKS]; /* of exactly the size, so that a sanitizer sees reads beyond it */
-  uint32_t count;
-} chunk_list;
-
-static btf_status get_listed(btf_chunk_reader *reader, uint32_t tag, uint32_t index, const void **data,
-                             uint64_t *size) {
-  const chunk_list *list = (const chunk_list *)(const void *)reader;
-  for (uint32_t i = 0; i < list->count; i++) {
-    if (list->chunk[i].tag != tag || list->chunk[i].index != index) continue;
-    *data = list->copy[i];
-    *size = list->chunk[i].size;
-    return BTF_OK;
-  }
-  return (btfi_host()->fail)(list->ctx, BTF_E_CORRUPT, "no such chunk");
-}
-
-static unsigned char *copy_of(const void *data, uint64_t size) {
-  unsigned char *copy = NULL;
-  assert_int_equal(posix_memalign((void **)&copy, 64, size > 0 ? size : 1), 0);
-  memcpy(copy, data, size);
-  return copy;
-}
-
-static btf_status try_load(btf_context *ctx, const btf_model *model, chunk_list *list) {
-  btf_host host = *btfi_host();
-  void *state = NULL;
-  host.get = get_listed;
-  const btf_status status = btf_codec_cmf.load(&host, ctx, btf_codec_cmf.format_write, &model->shape,
-                                               (btf_chunk_reader *)(void *)list, &state);
-  if (status != BTF_OK) {
-    assert_int_equal(status, BTF_E_CORRUPT);
-    assert_null(state);
-    return status;
-  }
-  for (int i = 0; i < 12; i++) {
-    btf_query q = query_of(cmf_draw(), cmf_draw(), 3.0f * cmf_draw());
-    float out[64];
-    q.flags = i % 4 == 0 ? BTF_QUERY_NEAREST : 0;
-    btf_codec_cmf.eval(state, &q, out);
-    for (uint32_t c = 0; c < model->shape.channels; c++) assert_true(isfinite(out[c]));
-    btf_codec_cmf.texel(state, btf_codec_cmf.levels(state) - 1, 0, 0, 1, 2, out);
-  }
-  btf_codec_cmf.destroy(&host, ctx, state);
-  return BTF_OK;
-}
-
-static void test_hostile_payloads(void **unused) {
-  (void)unused;
-  btf_context *ctx = test_context(&memory);
-  material m = material_create(ctx, BUMPS, "grid:4x2", 4, 3, 3);
-  for (size_t k = 0; k < CMF_CASES; k++) {
-    char settings[160];
-    snprintf(settings, sizeof settings, "%s resolution=6 edge=16 levels=2", cmf_cases[k]);
-    btf_model *model = cmf_fit(ctx, &m, settings);
-    chunk_list list = {.ctx = ctx, .count = btfi_payload_chunk_count(model->payload)};
-    assert_true(list.count <= MAX_CHUNKS);
-    for (uint32_t i = 0; i < list.count; i++) {
-      assert_ok(btfi_payload_chunk(model->payload, i, &list.chunk[i]));
-      list.copy[i] = copy_of(list.chunk[i].data, list.chunk[i].size);
-    }
-    assert_ok(try_load(ctx, model, &list));
-    for (uint32_t i = 0; i < list.count; i++) {
-      const btfi_chunk whole = list.chunk[i];
-      unsigned char *copy = list.copy[i];
-      list.chunk[i].tag = 0;
-      assert_status(try_load(ctx, model, &list), BTF_E_CORRUPT);
-      list.chunk[i].tag = whole.tag;
-      const uint64_t sizes[] = {0, 1, whole.size / 2 + 1, whole.size - 1, whole.size + 1};
-      for (size_t n = 0; n < 5; n++) {
-        if (sizes[n] == whole.size) continue;
-        list.copy[i] = calloc(1, sizes[n] + 1);
-        list.chunk[i].size = sizes[n];
-        memcpy(list.copy[i], copy, sizes[n] < whole.size ? sizes[n] : whole.size);
-        assert_status(try_load(ctx, model, &list), BTF_E_CORRUPT);
-        free(list.copy[i]);
-      }
-      list.copy[i] = copy;
-      list.chunk[i] = whole;
-      /* Any single changed byte is refused or harmless. */
-      for (uint64_t at = 0; at<whole.size; at += whole.size> 200 ? whole.size / 23 + 1 : 1) {
-        const unsigned char was = copy[at], wild[] = {0xff, 0x7f, 0x80, (unsigned char)(was ^ 1)};
-        for (size_t n = 0; n < 4; n++) {
-          copy[at] = wild[n];
-          (void)try_load(ctx, model, &list);
-        }
-        copy[at] = was;
-      }
-    }
-    assert_ok(try_load(ctx, model, &list));
-    for (uint32_t i = 0; i < list.count; i++) free(list.copy[i]);
-    btf_model_release(model);
-  }
-  material_release(&m);
-  test_context_done(ctx, &memory);
-}
-
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_blends_texels),
       cmocka_unit_test(test_batches_and_instruction_sets),
-      cmocka_unit_test(test_hostile_payloads),
   };
   return btf_run("cmf_eval", tests);
 }

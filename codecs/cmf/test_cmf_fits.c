@@ -87,32 +87,13 @@ void material_release(material *m) {
   btf_dirset_release(m->set);
 }
 
-btf_options *cmf_options(btf_context *ctx, const char *settings) {
-  char text[512], *rest = NULL;
-  btf_options *options;
-  assert_ok(btf_options_create(btf_codec_find(ctx, "cmf"), &options));
-  snprintf(text, sizeof text, "%s", settings);
-  for (char *word = strtok_r(text, " ", &rest); word != NULL; word = strtok_r(NULL, " ", &rest)) {
-    char *value = strchr(word, '=');
-    *value++ = '\0';
-    assert_ok(btf_options_set(options, word, value));
-  }
-  return options;
-}
-
 btf_status cmf_try_fit(btf_context *ctx, const material *m, const char *settings, const btf_job *job,
                        btf_model **out) {
-  btf_options *options = cmf_options(ctx, settings);
-  *out = NULL;
-  const btf_status status = btf_model_fit(m->ds, btf_codec_find(ctx, "cmf"), options, job, out);
-  btf_options_release(options);
-  return status;
+  return suite_try_fit(ctx, "cmf", m->ds, settings, job, out);
 }
 
 btf_model *cmf_fit(btf_context *ctx, const material *m, const char *settings) {
-  btf_model *model;
-  assert_ok(cmf_try_fit(ctx, m, settings, NULL, &model));
-  return model;
+  return suite_fit(ctx, "cmf", m->ds, settings);
 }
 
 double sample_count(const material *m) {

@@ -5,7 +5,7 @@
 
 #include "cmf.h"
 
-#include "btf_test.h"
+#include "codec_suite.h"
 #include "model/model.h"
 
 float cmf_draw(void);
@@ -26,7 +26,6 @@ material material_create(btf_context *ctx, int kind, const char *directions, uin
 void material_release(material *m);
 
 /* Options as in "codebook=8 levels=1". */
-btf_options *cmf_options(btf_context *ctx, const char *settings);
 btf_status cmf_try_fit(btf_context *ctx, const material *m, const char *settings, const btf_job *job,
                        btf_model **out);
 btf_model *cmf_fit(btf_context *ctx, const material *m, const char *settings);

@@ -3,7 +3,7 @@
  * paper's section 4.4 and figure 3. docs/codecs/cmf.md has the figures for other values of lambda. */
 #include "cmf.h"
 
-#include "btf_test.h"
+#include "codec_suite.h"
 #include "model/model.h"
 
 #include "synth/synth.h"
@@ -45,19 +45,9 @@ typedef struct errors {
 } errors;
 
 static btf_model *fit(btf_context *ctx, const traced *m, const char *settings, const char *storage) {
-  char text[128], *rest = NULL;
-  btf_options *options;
-  btf_model *model;
+  char text[128];
   snprintf(text, sizeof text, "codebook=0 levels=1 storage=%s %s", storage, settings);
-  assert_ok(btf_options_create(btf_codec_find(ctx, "cmf"), &options));
-  for (char *word = strtok_r(text, " ", &rest); word != NULL; word = strtok_r(NULL, " ", &rest)) {
-    char *value = strchr(word, '=');
-    *value++ = '\0';
-    assert_ok(btf_options_set(options, word, value));
-  }
-  assert_ok(btf_model_fit(m->ds, btf_codec_find(ctx, "cmf"), options, NULL, &model));
-  btf_options_release(options);
-  return model;
+  return suite_fit(ctx, "cmf", m->ds, text);
 }
 
 static errors measure(const btf_model *model, const traced *m) {
@@ -89,11 +79,6 @@ static errors measure(const btf_model *model, const traced *m) {
   return e;
 }
 
-static int compare_floats(const void *a, const void *b) {
-  const float x = *(const float *)a, y = *(const float *)b;
-  return (x > y) - (x < y);
-}
-
 /* Maximum over median within the unit circle of the factors of a model in f32: their geometric mean. */
 static double range_of(const btf_model *model) {
   const btfi_cmf_state *s = model->state;
@@ -109,7 +94,7 @@ static double range_of(const btf_model *model) {
       if (btfi_cmf_map_direction(&map, t, unused))
         memcpy(&inside[count++], entry + sizeof(float) * (3 * (size_t)t + i % 3), sizeof(float));
     }
-    qsort(inside, count, sizeof *inside, compare_floats);
+    qsort(inside, count, sizeof *inside, suite_compare_floats);
     if (!(inside[count - 1] > 0.0f)) continue;
     sum += log((double)inside[count - 1] / fmax((double)inside[count / 2], 1e-9));
     maps++;

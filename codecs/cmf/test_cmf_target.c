@@ -69,22 +69,6 @@ static size check_target(btf_context *ctx, const material *m, const char *target
   return found;
 }
 
-static int compare_floats(const void *a, const void *b) {
-  const float x = *(const float *)a, y = *(const float *)b;
-  return (x > y) - (x < y);
-}
-
-/* The 99.9th percentile by sorting. */
-static double exact_peak(const material *m) {
-  const size_t n = (size_t)sample_count(m);
-  float *sorted = malloc(n * sizeof *sorted);
-  memcpy(sorted, m->samples, n * sizeof *sorted);
-  qsort(sorted, n, sizeof *sorted, compare_floats);
-  const double peak = sorted[n - 1 - n / 1000];
-  free(sorted);
-  return peak;
-}
-
 /* Each way to meet a target: a codebook, maps of every texel's own, more terms. */
 static void test_targets(void **unused) {
   (void)unused;
@@ -110,22 +94,14 @@ static void test_targets(void **unused) {
     found = check_target(ctx, &m, target, others[i], between);
     assert_int_equal(found.terms, 2);
   }
-  const double peak = exact_peak(&m), wanted = peak * pow(10.0, -27.0 / 20.0);
+  const double peak = suite_peak(m.samples, (size_t)sample_count(&m)),
+               wanted = peak * pow(10.0, -27.0 / 20.0);
   (void)check_target(ctx, &m, "psnr=27", others[0], wanted);
   /* The stricter one of both counts. */
   snprintf(target, sizeof target, "psnr=20 rmse=%.17g", wanted);
   (void)check_target(ctx, &m, target, others[0], wanted);
   material_release(&m);
   test_context_done(ctx, &memory);
-}
-
-static int warnings;
-static const char *expected_words; /* that they must name */
-
-static void count_warnings(void *user, int32_t level, btf_status code, const char *message) {
-  (void)user;
-  (void)code;
-  warnings += level == BTF_LOG_WARNING && strstr(message, expected_words) != NULL;
 }
 
 /* Out of reach: the best of the sizes that were allowed, and a warning; also where there is but one number of
@@ -137,27 +113,25 @@ static void test_target_out_of_reach(void **unused) {
   } cases[] = {{"rmse=1e-9 max_terms=3", "codebook=0 chain=h,io:3"},
                {"psnr=200 max_codebook=4 chain=i,o", "codebook=0 chain=i,o"},
                {"rmse=1e-9 method=homomorphic max_codebook=0", "codebook=0 method=homomorphic"}};
-  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
-  btf_context *ctx;
-  desc.log = count_warnings;
-  assert_ok(btf_context_create(&desc, &ctx));
+  suite_warnings warnings = {"reach", 0};
+  btf_context *ctx = suite_context_counting(&warnings);
   material m = material_create(ctx, BUMPS, "grid:5x3", 4, 3, 2);
   for (size_t i = 0; i < 3; i++) {
     char settings[128];
     snprintf(settings, sizeof settings, "%s edge=12 resolution=8 storage=f32", cases[i].settings);
-    warnings = 0;
-    expected_words = strncmp(settings, "psnr", 4) == 0 ? "reach a psnr of" : "reach an rmse of";
+    warnings.count = 0;
+    warnings.words = strncmp(settings, "psnr", 4) == 0 ? "reach a psnr of" : "reach an rmse of";
     btf_model *model = cmf_fit(ctx, &m, settings);
-    assert_int_equal(warnings, 1);
+    assert_int_equal(warnings.count, 1);
     assert_relative(rmse_of(model, &m), rmse_with(ctx, &m, cases[i].best, "edge=12 resolution=8 storage=f32"),
                     1e-12);
     btf_model_release(model);
   }
-  warnings = 0;
-  expected_words = "reach";
+  warnings.count = 0;
+  warnings.words = "reach";
   material black = material_create(ctx, ZERO, "grid:4x2", 3, 2, 3);
   assert_true(rmse_with(ctx, &black, "psnr=50", "edge=8 resolution=8") == 0.0);
-  assert_int_equal(warnings, 0);
+  assert_int_equal(warnings.count, 0);
   material_release(&black);
   material_release(&m);
   btf_context_release(ctx);

@@ -2,16 +2,15 @@
 /* Fits: optimality, targets, storages, codings, edge cases, budget, cancelling, failures. */
 #include "test_materials.h"
 
-#include <lapacke.h>
+#include "exact_svd.h"
 
 static test_memory memory;
 
 /* Singular values of B, of its columns less their mean if centred, by LAPACK in double precision. */
 static double *singular_values(const material *m, bool centred, uint32_t *count) {
   const size_t rows = (size_t)m->count * m->count * m->channels, texels = (size_t)m->width * m->height;
-  double *b = malloc(rows * texels * sizeof *b), *sigma;
+  double *b = malloc(rows * texels * sizeof *b);
   *count = (uint32_t)(rows < texels ? rows : texels);
-  sigma = malloc(*count * sizeof *sigma);
   for (size_t row = 0; row < rows; row++) {
     const uint32_t c = (uint32_t)(row % m->channels), light = (uint32_t)(row / m->channels % m->count),
                    view = (uint32_t)(row / m->channels / m->count);
@@ -23,18 +22,9 @@ static double *singular_values(const material *m, bool centred, uint32_t *count)
     }
     for (size_t t = 0; centred && t < texels; t++) b[row * texels + t] -= mean;
   }
-  double unused;
-  assert_int_equal(LAPACKE_dgesdd(LAPACK_ROW_MAJOR, 'N', (lapack_int)rows, (lapack_int)texels, b,
-                                  (lapack_int)texels, sigma, &unused, 1, &unused, (lapack_int)texels),
-                   0);
+  double *const sigma = exact_singular_values(b, rows, texels);
   free(b);
   return sigma;
-}
-
-static double tail_of(const double *sigma, uint32_t count, uint32_t from) {
-  double tail = 0.0;
-  for (uint32_t k = from; k < count; k++) tail += sigma[k] * sigma[k];
-  return tail;
 }
 
 /* FAC15: the squared error is the tail of the singular values, from both directions of reading. */
@@ -53,7 +43,7 @@ static void test_error_is_the_tail(void **unused) {
         snprintf(settings, sizeof settings, "components=%u storage=f32 coding=plain accuracy=1e-6 mean=%d",
                  components[i], mean);
         btf_model *model = fmf_fit(ctx, &m, settings);
-        const double tail = tail_of(mean ? centred : sigma, count, components[i]);
+        const double tail = exact_tail(mean ? centred : sigma, count, components[i]);
         /* The accuracy asked for twice since squares are compared, and float32: a rounding error d (a few eps
          * of the data's norm) changes the square of the error e by at most 2 d e. */
         const double tolerance = 2.1e-6 + 2.0 * 8.0 * 1.2e-7 * sqrt(energy / tail);
@@ -106,22 +96,6 @@ static void test_error_falls(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-static int compare_floats(const void *a, const void *b) {
-  const float x = *(const float *)a, y = *(const float *)b;
-  return (x > y) - (x < y);
-}
-
-/* The 99.9th percentile by sorting. */
-static double exact_peak(const material *m) {
-  const size_t n = (size_t)m->count * m->count * m->channels * m->width * m->height;
-  float *sorted = malloc(n * sizeof *sorted);
-  memcpy(sorted, m->samples, n * sizeof *sorted);
-  qsort(sorted, n, sizeof *sorted, compare_floats);
-  const double peak = sorted[n - 1 - n / 1000];
-  free(sorted);
-  return peak;
-}
-
 /* A target is met by what is decoded, storage and packing included, and two components fewer miss it. */
 static void check_target(btf_context *ctx, const material *m, const char *target, const char *others,
                          double rmse) {
@@ -148,7 +122,7 @@ static void test_targets(void **unused) {
   material m = material_create(ctx, MATERIAL_GLOSSY, "grid:6x3", 12, 10, 3, true, BTF_WRAP_PERIODIC);
   const char *const others[] = {"storage=f16", "storage=f32 coding=plain", "storage=q8 coding=plain",
                                 "storage=bf16 mean=1", "storage=f16 mean=1"};
-  const double peak = exact_peak(&m);
+  const double peak = suite_peak(m.samples, (size_t)m.count * m.count * m.channels * m.width * m.height);
   for (size_t i = 0; i < sizeof others / sizeof *others; i++) {
     check_target(ctx, &m, "psnr=38", others[i], peak * pow(10.0, -38.0 / 20.0));
     check_target(ctx, &m, "rmse=0.01", others[i], 0.01);
@@ -157,26 +131,15 @@ static void test_targets(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-static int warnings;
-
-static void count_warnings(void *user, int32_t level, btf_status code, const char *message) {
-  (void)user;
-  (void)code;
-  warnings += level == BTF_LOG_WARNING && strstr(message, "rmse") != NULL;
-}
-
 /* Out of reach: the best there is, and a warning. */
 static void test_target_out_of_reach(void **unused) {
   (void)unused;
-  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
-  btf_context *ctx;
-  desc.log = count_warnings;
-  assert_ok(btf_context_create(&desc, &ctx));
+  suite_warnings warnings = {"rmse", 0};
+  btf_context *ctx = suite_context_counting(&warnings);
   material m = material_create(ctx, MATERIAL_GLOSSY, "grid:6x3", 12, 10, 3, true, BTF_WRAP_PERIODIC);
-  warnings = 0;
   btf_model *model = fmf_fit(ctx, &m, "rmse=1e-4 max_components=7");
   assert_int_equal(fmf_state(model)->components, 7);
-  assert_int_equal(warnings, 1);
+  assert_int_equal(warnings.count, 1);
   btf_model_release(model);
   material_release(&m);
   btf_context_release(ctx);

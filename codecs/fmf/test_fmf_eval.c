@@ -113,31 +113,6 @@ static void test_interpolation(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-static void eval_batch(const btf_model *model, const btf_query *queries, size_t count, uint32_t flags,
-                       float **out) {
-  static float columns[9][QUERIES];
-  btf_batch batch = BTF_BATCH_INIT;
-  batch.count = count;
-  batch.flags = flags;
-  for (size_t i = 0; i < count; i++) {
-    for (int k = 0; k < 3; k++) {
-      columns[k][i] = queries[i].light[k];
-      columns[3 + k][i] = queries[i].view[k];
-    }
-    columns[6][i] = queries[i].uv[0];
-    columns[7][i] = queries[i].uv[1];
-    columns[8][i] = queries[i].lod;
-  }
-  for (int k = 0; k < 3; k++) {
-    batch.light[k] = columns[k];
-    batch.view[k] = columns[3 + k];
-  }
-  batch.uv[0] = columns[6];
-  batch.uv[1] = columns[7];
-  batch.lod = columns[8];
-  btf_model_eval_n(model, &batch, BTF_VALUE_STORED, out);
-}
-
 /* Batches of every length equal single queries bit for bit, hostile queries among them. */
 static void test_batch_equals_single(void **unused) {
   (void)unused;
@@ -167,7 +142,7 @@ static void test_batch_equals_single(void **unused) {
       }
       for (uint32_t flags = 0; flags < 2; flags++) {
         for (size_t count = 0; count <= QUERIES; count = count < 20 ? count + 1 : count + 95) {
-          eval_batch(model, queries, count, flags ? BTF_QUERY_NEAREST : 0, out);
+          suite_eval_batch(model, queries, count, flags ? BTF_QUERY_NEAREST : 0, out);
           for (size_t n = 0; n < count; n++) {
             float single[64];
             queries[n].flags = flags ? BTF_QUERY_NEAREST : 0;
@@ -349,7 +324,7 @@ static void test_largest(void **unused) {
   btf_model *model = fmf_fit(ctx, &m, "components=1024 storage=q8 coding=plain");
   assert_true(fmf_state(model)->components >= 560);
   make_queries(m.directions, queries);
-  eval_batch(model, queries, 40, 0, out);
+  suite_eval_batch(model, queries, 40, 0, out);
   for (uint32_t n = 0; n < 40; n++) {
     float single[64];
     btf_model_eval_as(model, &queries[n], BTF_VALUE_STORED, single);

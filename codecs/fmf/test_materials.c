@@ -122,36 +122,13 @@ double material_energy(const material *m) {
   return energy;
 }
 
-btf_options *fmf_options(btf_context *ctx, const char *settings) {
-  char text[256], *rest = NULL;
-  btf_options *options;
-  if (btf_options_create(btf_codec_find(ctx, "fmf"), &options) != BTF_OK) return NULL;
-  snprintf(text, sizeof text, "%s", settings);
-  for (char *word = strtok_r(text, " ", &rest); word != NULL; word = strtok_r(NULL, " ", &rest)) {
-    char *value = strchr(word, '=');
-    *value++ = '\0';
-    if (btf_options_set(options, word, value) != BTF_OK) {
-      btf_options_release(options);
-      return NULL;
-    }
-  }
-  return options;
-}
-
 btf_status fmf_try_fit(btf_context *ctx, const btf_dataset *ds, const char *settings, const btf_job *job,
                        btf_model **out) {
-  btf_options *options = fmf_options(ctx, settings);
-  *out = NULL;
-  if (options == NULL) return BTF_E_NOMEM;
-  const btf_status status = btf_model_fit(ds, btf_codec_find(ctx, "fmf"), options, job, out);
-  btf_options_release(options);
-  return status;
+  return suite_try_fit(ctx, "fmf", ds, settings, job, out);
 }
 
 btf_model *fmf_fit(btf_context *ctx, const material *m, const char *settings) {
-  btf_model *model;
-  assert_ok(fmf_try_fit(ctx, m->ds, settings, NULL, &model));
-  return model;
+  return suite_fit(ctx, "fmf", m->ds, settings);
 }
 
 double fmf_squared_error(const btf_model *model, const material *m) {

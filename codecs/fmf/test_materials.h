@@ -3,7 +3,7 @@
 #ifndef FMF_TEST_MATERIALS_H
 #define FMF_TEST_MATERIALS_H
 
-#include "btf_test.h"
+#include "codec_suite.h"
 
 #include "fmf.h"
 
@@ -27,7 +27,6 @@ float material_sample(const material *m, uint32_t x, uint32_t y, uint32_t light,
 double material_energy(const material *m);
 
 /* Options as "name=value name=value". */
-btf_options *fmf_options(btf_context *ctx, const char *settings);
 btf_status fmf_try_fit(btf_context *ctx, const btf_dataset *ds, const char *settings, const btf_job *job,
                        btf_model **out);
 btf_model *fmf_fit(btf_context *ctx, const material *m, const char *settings);

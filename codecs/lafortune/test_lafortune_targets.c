@@ -36,23 +36,6 @@ static double rmse_of(const btf_model *model, const material *m) {
   return sqrt(lafortune_squared_error(model, m) / (double)sample_count(m));
 }
 
-static int compare_floats(const void *a, const void *b) {
-  const float x = *(const float *)a, y = *(const float *)b;
-  return (x > y) - (x < y);
-}
-
-/* The 99.9th percentile of all samples. */
-static double peak_of(const material *m) {
-  const size_t n = sample_count(m);
-  float *sorted = malloc(n * sizeof *sorted);
-  assert_non_null(sorted);
-  memcpy(sorted, m->samples, n * sizeof *sorted);
-  qsort(sorted, n, sizeof *sorted, compare_floats);
-  const double peak = (double)sorted[n - 1 - n / 1000];
-  free(sorted);
-  return peak;
-}
-
 /* For every number of lobes a target between what it and one lobe fewer reach: that number is taken, what is
  * decoded meets the target, and with a lobe fewer it does not. The peak is the lower edge of a bin a
  * thousandth wide, which makes a PSNR stricter by that. */
@@ -61,7 +44,7 @@ static void test_fewest_lobes(void **unused) {
   const char *const others[] = {"", "storage=f32 levels=1", "color=channel weights=cosine levels=2"};
   btf_context *ctx = test_context(&memory);
   material m = four_lobes(ctx);
-  const double peak = peak_of(&m);
+  const double peak = suite_peak(m.samples, sample_count(&m));
   for (size_t i = 0; i < sizeof others / sizeof *others; i++) {
     double reached[LAF_MAX_LOBES + 1] = {0.0};
     char settings[128];
@@ -98,7 +81,7 @@ static void test_stricter_target(void **unused) {
   (void)unused;
   btf_context *ctx = test_context(&memory);
   material m = four_lobes(ctx);
-  const double peak = peak_of(&m);
+  const double peak = suite_peak(m.samples, sample_count(&m));
   for (int strict = 0; strict < 2; strict++) {
     char settings[128];
     const double loose_rmse = 0.5 * peak, strict_rmse = 0.035;
@@ -113,34 +96,24 @@ static void test_stricter_target(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-static int warnings;
-
-static void count_warnings(void *user, int32_t level, btf_status code, const char *message) {
-  (void)user;
-  (void)code;
-  warnings += level == BTF_LOG_WARNING && strstr(message, "was asked for") != NULL;
-}
-
 static void test_out_of_reach(void **unused) {
   (void)unused;
   const char *const settings[] = {"rmse=1e-6", "psnr=120 kind=ward", "rmse=1e-6 psnr=10"};
-  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
-  btf_context *ctx;
-  desc.log = count_warnings;
-  assert_ok(btf_context_create(&desc, &ctx));
+  suite_warnings warnings = {"was asked for", 0};
+  btf_context *ctx = suite_context_counting(&warnings);
   material m = four_lobes(ctx);
   for (size_t i = 0; i < sizeof settings / sizeof *settings; i++) {
     char text[96];
     snprintf(text, sizeof text, "%s levels=1 starts=1 iterations=10", settings[i]);
-    warnings = 0;
+    warnings.count = 0;
     btf_model *model = lafortune_fit(ctx, &m, text);
     assert_int_equal(lafortune_state(model)->layout.lobes, 4);
-    assert_int_equal(warnings, 1);
+    assert_int_equal(warnings.count, 1);
     btf_model_release(model);
   }
-  warnings = 0;
+  warnings.count = 0;
   btf_model_release(lafortune_fit(ctx, &m, "psnr=10 levels=1"));
-  assert_int_equal(warnings, 0);
+  assert_int_equal(warnings.count, 0);
   material_release(&m);
   btf_context_release(ctx);
 }

@@ -3,7 +3,7 @@
 #ifndef LAFORTUNE_TEST_LOBES_H
 #define LAFORTUNE_TEST_LOBES_H
 
-#include "btf_test.h"
+#include "codec_suite.h"
 
 #include "lafortune.h"
 

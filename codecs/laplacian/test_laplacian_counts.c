@@ -29,11 +29,6 @@ static void test_stop_rule(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-static int compare_floats(const void *a, const void *b) {
-  const float x = *(const float *)a, y = *(const float *)b;
-  return (x > y) - (x < y);
-}
-
 /* A target is met by what is decoded, and at most a few per cent of the error is left unused where there are
  * many components to choose from. */
 static void test_targets(void **unused) {
@@ -41,11 +36,7 @@ static void test_targets(void **unused) {
   btf_context *ctx = test_context(&memory);
   material m = material_create(ctx, MATERIAL_GLOSSY, "grid:6x3", 16, 16, 3, true, BTF_WRAP_PERIODIC);
   const size_t samples = (size_t)m.count * m.count * 3 * 256;
-  float *sorted = malloc(samples * sizeof *sorted);
-  memcpy(sorted, m.samples, samples * sizeof *sorted);
-  qsort(sorted, samples, sizeof *sorted, compare_floats);
-  const double peak = sorted[samples - 1 - samples / 1000];
-  free(sorted);
+  const double peak = suite_peak(m.samples, samples);
   const char *const others[] = {"", "filter=paper", "storage=f32 mean=table", "filter=binomial levels=2"};
   for (size_t i = 0; i < 4; i++)
     for (int psnr = 0; psnr < 2; psnr++) {
@@ -65,26 +56,15 @@ static void test_targets(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-static int warnings;
-
-static void count_warnings(void *user, int32_t level, btf_status code, const char *message) {
-  (void)user;
-  (void)code;
-  warnings += level == BTF_LOG_WARNING && strstr(message, "rmse") != NULL;
-}
-
 static void test_target_out_of_reach(void **unused) {
   (void)unused;
-  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
-  btf_context *ctx;
-  desc.log = count_warnings;
-  assert_ok(btf_context_create(&desc, &ctx));
+  suite_warnings warnings = {"rmse", 0};
+  btf_context *ctx = suite_context_counting(&warnings);
   material m = material_create(ctx, MATERIAL_GLOSSY, "grid:6x3", 12, 10, 3, true, BTF_WRAP_PERIODIC);
-  warnings = 0;
   btf_model *model = laplacian_fit(ctx, &m, "rmse=1e-4 max_components=3");
   const btfi_laplacian_state *s = laplacian_state(model);
   for (uint32_t k = 0; k < s->grid.levels; k++) assert_int_equal(s->head.count[k][0], 3);
-  assert_int_equal(warnings, 1);
+  assert_int_equal(warnings.count, 1);
   btf_model_release(model);
   material_release(&m);
   btf_context_release(ctx);

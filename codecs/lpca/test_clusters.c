@@ -64,29 +64,13 @@ material planted_material(btf_context *ctx, uint32_t width, uint32_t height, uin
   return m;
 }
 
-btf_status model_try_fit(btf_context *ctx, const char *codec, const btf_dataset *ds, const char *settings,
-                         const btf_job *job, btf_model **out) {
-  char text[256], *rest = NULL;
-  btf_options *options;
-  btf_status status = btf_options_create(btf_codec_find(ctx, codec), &options);
-  *out = NULL;
-  if (status != BTF_OK) return status;
-  snprintf(text, sizeof text, "%s", settings);
-  for (char *word = strtok_r(text, " ", &rest); word != NULL && status == BTF_OK;
-       word = strtok_r(NULL, " ", &rest)) {
-    char *value = strchr(word, '=');
-    *value++ = '\0';
-    status = btf_options_set(options, word, value);
-  }
-  if (status == BTF_OK) status = btf_model_fit(ds, btf_codec_find(ctx, codec), options, job, out);
-  btf_options_release(options);
-  return status;
+btf_status lpca_try_fit(btf_context *ctx, const btf_dataset *ds, const char *settings, const btf_job *job,
+                        btf_model **out) {
+  return suite_try_fit(ctx, "lpca", ds, settings, job, out);
 }
 
 btf_model *lpca_fit(btf_context *ctx, const material *m, const char *settings) {
-  btf_model *model;
-  assert_ok(model_try_fit(ctx, "lpca", m->ds, settings, NULL, &model));
-  return model;
+  return suite_fit(ctx, "lpca", m->ds, settings);
 }
 
 double model_squared_error(const btf_model *model, const material *m) {

@@ -22,8 +22,9 @@ material planted_material(btf_context *ctx, uint32_t width, uint32_t height, uin
 /* Value of row (view, light, channel) of a texel. */
 double material_row(const material *m, uint32_t texel, uint32_t row);
 
-btf_status model_try_fit(btf_context *ctx, const char *codec, const btf_dataset *ds, const char *settings,
-                         const btf_job *job, btf_model **out);
+/* Options as "name=value name=value". */
+btf_status lpca_try_fit(btf_context *ctx, const btf_dataset *ds, const char *settings, const btf_job *job,
+                        btf_model **out);
 btf_model *lpca_fit(btf_context *ctx, const material *m, const char *settings);
 double model_squared_error(const btf_model *model, const material *m);
 const btfi_lpca_state *lpca_state(const btf_model *model);

@@ -3,7 +3,7 @@
  * sizes, edge cases, budget, cancelling, failures. */
 #include "test_clusters.h"
 
-#include <lapacke.h>
+#include "exact_svd.h"
 
 static test_memory memory;
 
@@ -13,8 +13,7 @@ static test_memory memory;
  * singular values of the columns less their mean. */
 static double affine_tail(const material *m, const uint32_t *texels, uint32_t count, uint32_t components) {
   const uint32_t rows = m->count * m->count * m->channels, few = rows < count ? rows : count;
-  double *b = malloc((size_t)rows * count * sizeof *b), *sigma = malloc(few * sizeof *sigma), unused,
-         tail = 0.0;
+  double *b = malloc((size_t)rows * count * sizeof *b);
   for (uint32_t row = 0; row < rows; row++) {
     double mean = 0.0;
     for (uint32_t i = 0; i < count; i++) {
@@ -23,10 +22,8 @@ static double affine_tail(const material *m, const uint32_t *texels, uint32_t co
     }
     for (uint32_t i = 0; i < count; i++) b[(size_t)row * count + i] -= mean;
   }
-  assert_int_equal(LAPACKE_dgesdd(LAPACK_ROW_MAJOR, 'N', (lapack_int)rows, (lapack_int)count, b,
-                                  (lapack_int)count, sigma, &unused, 1, &unused, (lapack_int)count),
-                   0);
-  for (uint32_t k = components; k < few; k++) tail += sigma[k] * sigma[k];
+  double *const sigma = exact_singular_values(b, rows, count);
+  const double tail = exact_tail(sigma, few, components);
   free(b);
   free(sigma);
   return tail;
@@ -497,7 +494,7 @@ static void test_budget(void **unused) {
   btf_model *model;
   uint64_t peak;
   job.max_working_set = budget;
-  assert_ok(model_try_fit(ctx, "lpca", m.ds, settings, &job, &model));
+  assert_ok(lpca_try_fit(ctx, m.ds, settings, &job, &model));
   btf_context_memory(ctx, NULL, &peak);
   const double data = (double)m.count * m.count * 3 * 768 * 4, error = model_squared_error(model, &m);
   print_message("data %.1f MiB, budget 8 MiB, peak %.1f MiB\n", data / 1048576.0, (double)peak / 1048576.0);
@@ -527,13 +524,13 @@ static void test_named_budget(void **unused) {
         btf_job job = BTF_JOB_INIT;
         btf_model *model;
         job.max_working_set = budget;
-        btf_status status = model_try_fit(ctx, "lpca", m.ds, settings[i], &job, &model);
+        btf_status status = lpca_try_fit(ctx, m.ds, settings[i], &job, &model);
         if (status == BTF_E_LIMIT) {
           const char *at = strstr(btf_error_message(), "working set of ");
           assert_non_null(at);
           job.max_working_set = strtoull(at + 15, NULL, 10) << 20;
           assert_true(job.max_working_set > budget);
-          status = model_try_fit(ctx, "lpca", m.ds, settings[i], &job, &model);
+          status = lpca_try_fit(ctx, m.ds, settings[i], &job, &model);
           refused++;
         }
         if (status != BTF_OK)
@@ -573,7 +570,7 @@ static void test_cancel(void **unused) {
       btf_model *model;
       job.progress = cancel_progress;
       job.user = &c;
-      const btf_status status = model_try_fit(ctx, "lpca", m.ds, settings[i], &job, &model);
+      const btf_status status = lpca_try_fit(ctx, m.ds, settings[i], &job, &model);
       if (status == BTF_OK) {
         assert_true(c.last == 1.0);
         btf_model_release(model);
@@ -602,7 +599,7 @@ static void test_failing_allocations(void **unused) {
       const long live = memory.live_blocks;
       btf_model *model = NULL, *loaded = NULL;
       memory.fail_at = memory.total_allocations + at;
-      btf_status status = model_try_fit(ctx, "lpca", m.ds, settings[i], NULL, &model);
+      btf_status status = lpca_try_fit(ctx, m.ds, settings[i], NULL, &model);
       if (status == BTF_OK) status = btf_model_save(model, test_path("failing.btfz"), 0, NULL, NULL);
       if (status == BTF_OK) status = btf_model_load(ctx, test_path("failing.btfz"), &loaded);
       const int untouched = memory.total_allocations < memory.fail_at;

@@ -2,7 +2,7 @@
 /* Fits: optimality of every view, terms and sizes, targets, budgets of terms and of memory, edge cases. */
 #include "test_views.h"
 
-#include <lapacke.h>
+#include "exact_svd.h"
 
 static test_memory memory;
 
@@ -11,9 +11,8 @@ static double *singular_values(const material *m, uint32_t view, int by_light, i
   const size_t texels = (size_t)m->width * m->height;
   const size_t rows = by_light ? (size_t)m->count * m->channels : m->count;
   const size_t columns = by_light ? texels : texels * m->channels;
-  double *a = malloc(rows * columns * sizeof *a), *sigma, unused;
+  double *a = malloc(rows * columns * sizeof *a);
   *count = (uint32_t)(rows < columns ? rows : columns);
-  sigma = malloc(*count * sizeof *sigma);
   for (size_t t = 0; t < texels; t++)
     for (uint32_t light = 0; light < m->count; light++)
       for (uint32_t c = 0; c < m->channels; c++) {
@@ -27,9 +26,7 @@ static double *singular_values(const material *m, uint32_t view, int by_light, i
     for (size_t row = 0; row < rows; row++) mean += a[row * columns + column] / (double)rows;
     for (size_t row = 0; row < rows; row++) a[row * columns + column] -= mean;
   }
-  assert_int_equal(LAPACKE_dgesdd(LAPACK_ROW_MAJOR, 'N', (lapack_int)rows, (lapack_int)columns, a,
-                                  (lapack_int)columns, sigma, &unused, 1, &unused, (lapack_int)columns),
-                   0);
+  double *const sigma = exact_singular_values(a, rows, columns);
   free(a);
   return sigma;
 }
@@ -41,12 +38,6 @@ static double view_energy(const material *m, uint32_t view) {
       for (uint32_t c = 0; c < m->channels; c++)
         energy += pow(material_sample(m, t % m->width, t / m->width, light, view, c), 2.0);
   return energy;
-}
-
-static double tail_of(const double *sigma, uint32_t count, uint32_t from) {
-  double tail = 0.0;
-  for (uint32_t k = from; k < count; k++) tail += sigma[k] * sigma[k];
-  return tail;
 }
 
 /* FAC23: the squared error of each view is the tail of its singular values, with colours on either side, more
@@ -69,11 +60,11 @@ static void test_error_is_the_tail(void **unused) {
       for (uint32_t view = 0; view < m.count; view++) {
         uint32_t count;
         double *sigma = singular_values(&m, view, by_light, centred, &count);
-        const double tail = tail_of(sigma, count, terms), energy = view_energy(&m, view);
+        const double tail = exact_tail(sigma, count, terms), energy = view_energy(&m, view);
         /* Float products in the Gram matrix are off by d = 2^-24 of sqrt(512 rows) of the energy at most,
          * which turns eigenvectors and costs less than d; so do values and the sums of terms, 8 eps of the
          * norm of the data, which change the square of an error e by 2 d e. */
-        const double eps = ldexp(1.0, -24), gram = 23.0 * eps * tail_of(sigma, count, 0);
+        const double eps = ldexp(1.0, -24), gram = 23.0 * eps * exact_tail(sigma, count, 0);
         assert_near(pvpca_view_error(model, &m, view), tail,
                     gram + 16.0 * eps * sqrt(energy * tail) + 64.0 * eps * eps * energy);
         predicted += tail;
@@ -245,29 +236,14 @@ static void test_adaptive_budget(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-static int compare_floats(const void *a, const void *b) {
-  const float x = *(const float *)a, y = *(const float *)b;
-  return (x > y) - (x < y);
-}
-
-/* The 99.9th percentile by sorting. */
-static double exact_peak(const material *m) {
-  const size_t n = (size_t)m->count * m->count * m->channels * m->width * m->height;
-  float *sorted = malloc(n * sizeof *sorted);
-  memcpy(sorted, m->samples, n * sizeof *sorted);
-  qsort(sorted, n, sizeof *sorted, compare_floats);
-  const double peak = sorted[n - 1 - n / 1000];
-  free(sorted);
-  return peak;
-}
-
 /* A target is met by what is decoded, rounding included; adaptive needs no more terms than fixed, and one
  * term in each view fewer misses it. */
 static void test_targets(void **unused) {
   (void)unused;
   btf_context *ctx = test_context(&memory);
   material m = material_create(ctx, MATERIAL_GLOSSY, "grid:6x3", 12, 10, 3, true, BTF_WRAP_PERIODIC);
-  const double samples = (double)m.count * m.count * 3.0 * 120.0, peak = exact_peak(&m);
+  const size_t count = (size_t)m.count * m.count * 3 * 120;
+  const double samples = (double)count, peak = suite_peak(m.samples, count);
   const char *const others[] = {"storage=f32", "storage=f16", "storage=q8", "storage=f16 color=texels",
                                 "storage=f32 mean=false"};
   for (size_t i = 0; i < sizeof others / sizeof *others; i++) {
@@ -296,28 +272,17 @@ static void test_targets(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-static int warnings;
-
-static void count_warnings(void *user, int32_t level, btf_status code, const char *message) {
-  (void)user;
-  (void)code;
-  warnings += level == BTF_LOG_WARNING && strstr(message, "rmse") != NULL;
-}
-
 /* Out of reach: the best there is, and a warning. */
 static void test_target_out_of_reach(void **unused) {
   (void)unused;
-  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
-  btf_context *ctx;
-  desc.log = count_warnings;
-  assert_ok(btf_context_create(&desc, &ctx));
+  suite_warnings warnings = {"rmse", 0};
+  btf_context *ctx = suite_context_counting(&warnings);
   material m = material_create(ctx, MATERIAL_GLOSSY, "grid:6x3", 12, 10, 3, true, BTF_WRAP_PERIODIC);
-  warnings = 0;
   for (int adaptive = 0; adaptive < 2; adaptive++) {
     btf_model *model = pvpca_fit(
         ctx, &m, adaptive ? "rmse=1e-5 max_components=7 budget=adaptive" : "rmse=1e-5 max_components=7");
     assert_int_equal(pvpca_state(model)->head.terms, 7 * m.count);
-    assert_int_equal(warnings, 1 + adaptive);
+    assert_int_equal(warnings.count, 1 + adaptive);
     btf_model_release(model);
   }
   material_release(&m);

@@ -218,31 +218,6 @@ static void test_continuity(void **unused) {
   test_context_done(ctx, &memory);
 }
 
-static void eval_batch(const btf_model *model, const btf_query *queries, size_t count, uint32_t flags,
-                       float **out) {
-  static float columns[9][QUERIES];
-  btf_batch batch = BTF_BATCH_INIT;
-  batch.count = count;
-  batch.flags = flags;
-  for (size_t i = 0; i < count; i++) {
-    for (int k = 0; k < 3; k++) {
-      columns[k][i] = queries[i].light[k];
-      columns[3 + k][i] = queries[i].view[k];
-    }
-    columns[6][i] = queries[i].uv[0];
-    columns[7][i] = queries[i].uv[1];
-    columns[8][i] = queries[i].lod;
-  }
-  for (int k = 0; k < 3; k++) {
-    batch.light[k] = columns[k];
-    batch.view[k] = columns[3 + k];
-  }
-  batch.uv[0] = columns[6];
-  batch.uv[1] = columns[7];
-  batch.lod = columns[8];
-  btf_model_eval_n(model, &batch, BTF_VALUE_STORED, out);
-}
-
 /* Batches of many lengths equal single queries bit for bit, hostile queries among them. */
 static void test_batch_equals_single(void **unused) {
   (void)unused;
@@ -269,7 +244,7 @@ static void test_batch_equals_single(void **unused) {
       }
       for (uint32_t flags = 0; flags < 2; flags++)
         for (size_t count = 0; count <= QUERIES; count = count < 20 ? count + 3 : count + 93) {
-          eval_batch(model, queries, count, flags ? BTF_QUERY_NEAREST : 0, out);
+          suite_eval_batch(model, queries, count, flags ? BTF_QUERY_NEAREST : 0, out);
           for (size_t n = 0; n < count; n++) {
             float single[64];
             queries[n].flags = flags ? BTF_QUERY_NEAREST : 0;

@@ -5,28 +5,11 @@
 
 btf_status pvpca_try_fit(btf_context *ctx, const btf_dataset *ds, const char *settings, const btf_job *job,
                          btf_model **out) {
-  const btf_codec *codec = btf_codec_find(ctx, "pvpca");
-  char text[256], *rest = NULL;
-  btf_options *options;
-  *out = NULL;
-  btf_status status = btf_options_create(codec, &options);
-  if (status != BTF_OK) return status;
-  snprintf(text, sizeof text, "%s", settings);
-  for (char *word = strtok_r(text, " ", &rest); word != NULL && status == BTF_OK;
-       word = strtok_r(NULL, " ", &rest)) {
-    char *value = strchr(word, '=');
-    *value++ = '\0';
-    status = btf_options_set(options, word, value);
-  }
-  if (status == BTF_OK) status = btf_model_fit(ds, codec, options, job, out);
-  btf_options_release(options);
-  return status;
+  return suite_try_fit(ctx, "pvpca", ds, settings, job, out);
 }
 
 btf_model *pvpca_fit(btf_context *ctx, const material *m, const char *settings) {
-  btf_model *model;
-  assert_ok(pvpca_try_fit(ctx, m->ds, settings, NULL, &model));
-  return model;
+  return suite_fit(ctx, "pvpca", m->ds, settings);
 }
 
 const btfi_pvpca_state *pvpca_state(const btf_model *model) {
