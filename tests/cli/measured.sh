@@ -44,7 +44,7 @@ END
   run import measured.jpg -o x.btfd -p sine=inside
   expect "an unknown parameter of a format" 1 "sine"
   run import measured.jpg -o x.btfd --format folder
-  expect "the wrong format" 2 "manifest"
+  expect "the wrong format" 3 "folder"
   run import measured.jpg -o x.btfd --format bonn-bft
   expect "a misspelt format" 1 "bonn-btf"
   run import short.jpg -o x.btfd
