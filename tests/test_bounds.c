@@ -332,6 +332,50 @@ static void check_least(btf_context *ctx, const btf_dataset *ds, uint64_t longer
   btfi_host()->svd_free(ctx, &all);
 }
 
+typedef struct error_count {
+  int errors, refusals;
+} error_count;
+
+static void count_errors(void *user, int32_t level, btf_status code, const char *message) {
+  error_count *count = user;
+  (void)message;
+  if (level != BTF_LOG_ERROR && level != BTF_LOG_WARNING) return;
+  count->errors++;
+  count->refusals += code == BTF_E_LIMIT;
+}
+
+/* By images and by texels need panels of the one side and of the other: under the lesser of the two budgets,
+ * the way that is tried first is refused for one of these shapes and orders at least, and succeeds the other
+ * way. */
+static void only_a_refusal_of_both_ways_is_logged(void **state) {
+  (void)state;
+  for (int by_image = 0; by_image < 2; by_image++) {
+    float *values = few_components(16, 192 * 128, by_image);
+    error_count count = {0};
+    btf_context_desc settings = BTF_CONTEXT_DESC_INIT;
+    btf_context *ctx = NULL;
+    settings.log = count_errors;
+    settings.log_user = &count;
+    assert_ok(btf_context_create(&settings, &ctx));
+    btf_dataset *ds = shape_dataset(ctx, values, 4, 4, 192, 128, by_image);
+    btf_svd_result r;
+    const btf_status status = decompose(ctx, ds, 1, &r);
+    if (status == BTF_E_UNSUPPORTED) skip();
+    assert_int_equal(status, BTF_E_LIMIT);
+    assert_int_equal(count.errors, 1);
+    assert_int_equal(count.refusals, 1);
+    const uint64_t least = r.least_working_set;
+    assert_status(decompose(ctx, ds, least - 1, &r), BTF_E_LIMIT);
+    assert_int_equal(count.errors, 2);
+    assert_ok(decompose(ctx, ds, least, &r));
+    assert_int_equal(count.errors, 2);
+    btfi_host()->svd_free(ctx, &r);
+    btf_dataset_release(ds);
+    btf_context_release(ctx);
+    free(values);
+  }
+}
+
 static void decompositions_take_the_way_that_fits(void **state) {
   static const struct {
     uint32_t views, lights, width, height;
@@ -388,6 +432,7 @@ int main(void) {
       cmocka_unit_test(shortened_files_are_told),
       cmocka_unit_test(fits_keep_to_their_own_budgets),
       cmocka_unit_test(decompositions_take_the_way_that_fits),
+      cmocka_unit_test(only_a_refusal_of_both_ways_is_logged),
       cmocka_unit_test(statistics_keep_the_budget),
   };
   return btf_run("bounds", tests);

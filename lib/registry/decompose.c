@@ -54,7 +54,7 @@ static btf_status decompose_by(const decomposition *d, bool by_image, btf_svd_re
   desc.layout = matrix.layout;
   desc.block_items = matrix.block_items;
   desc.rank = (uint32_t)BTFI_MIN(BTFI_MIN(matrix.items, matrix.length), (uint64_t)desc.rank);
-  const btf_status status = btfi_svd(d->ctx, &desc, d->job, d->from, d->to, out);
+  const btf_status status = btfi_svd_try(d->ctx, &desc, d->job, d->from, d->to, out);
   btfi_matrix_close(&matrix);
   if (status == BTF_OK && by_image) {
     float *const images = out->item_vectors;
@@ -64,7 +64,8 @@ static btf_status decompose_by(const decomposition *d, bool by_image, btf_svd_re
   return status;
 }
 
-/* A refused plan has read nothing yet: the other one may fit. */
+/* A refused plan has read nothing yet: the other one may fit. Only if neither does is it worth a line in the
+ * log. */
 static btf_status decompose_either_way(const decomposition *d, btf_svd_result *out) {
   btfi_matrix shape;
   BTFI_TRY(btfi_matrix_open(d->ctx, d->ds, d->desc.max_working_set, &shape));

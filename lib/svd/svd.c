@@ -205,10 +205,10 @@ static btf_status decompose(svd_state *s, btf_svd_result *out) {
   for (;;) {
     /* An attempt that may not be the last leaves half of the way to the others. */
     s->to = target > 0 && rank < s->largest_rank ? 0.5 * (s->from + end) : end;
-    const btf_status planned = btfi_svd_plan(s->ctx, s->desc, rank, &s->plan);
+    const btf_status planned = btfi_svd_plan(s->ctx, s->desc, rank, s->quiet, &s->plan);
     if (planned != BTF_OK) {
       /* With what this rank needs a target might fail at the next one: tell what is enough for all. */
-      if (rank < s->largest_rank) (void)btfi_svd_plan(s->ctx, s->desc, s->largest_rank, &s->plan);
+      if (rank < s->largest_rank) (void)btfi_svd_plan(s->ctx, s->desc, s->largest_rank, s->quiet, &s->plan);
       return planned;
     }
     BTFI_TRY(btfi_svd_begin_state(s));
@@ -298,8 +298,8 @@ void btfi_svd_free(btf_context *ctx, btf_svd_result *result) {
   result->struct_size = size;
 }
 
-btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *user, const btf_job *job, double from, double to,
-                    btf_svd_result *out) {
+static btf_status run(btf_context *ctx, bool quiet, const btf_svd_desc *user, const btf_job *job, double from,
+                      double to, btf_svd_result *out) {
   btf_svd_desc desc;
   btf_svd_result result = {0}, nothing = {0};
   result.struct_size = sizeof result;
@@ -310,7 +310,9 @@ btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *user, const btf_job *j
   if (desc.max_working_set == 0) desc.max_working_set = default_working_set;
   if (desc.tolerance == 0) desc.tolerance = default_tolerance;
 
-  svd_state s = {.ctx = ctx, .desc = &desc, .job = job, .from = from, .to = to, .reached = from};
+  svd_state s = {.ctx = ctx, .desc = &desc, .job = job, .quiet = quiet};
+  s.from = s.reached = from;
+  s.to = to;
   s.largest_rank = (uint32_t)BTFI_MIN((uint64_t)desc.rank, BTFI_MIN(desc.items, desc.length));
   btf_status status = decompose_scaled(&s, &desc, &result);
   btfi_svd_end_state(&s);
@@ -323,4 +325,14 @@ btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *user, const btf_job *j
   (void)btfi_copy_out(ctx, "btf_svd_result", out, BTFI_SIZE_TO(btf_svd_result, residual), &nothing,
                       sizeof nothing);
   return status;
+}
+
+btf_status btfi_svd(btf_context *ctx, const btf_svd_desc *desc, const btf_job *job, double from, double to,
+                    btf_svd_result *out) {
+  return run(ctx, false, desc, job, from, to, out);
+}
+
+btf_status btfi_svd_try(btf_context *ctx, const btf_svd_desc *desc, const btf_job *job, double from,
+                        double to, btf_svd_result *out) {
+  return run(ctx, true, desc, job, from, to, out);
 }

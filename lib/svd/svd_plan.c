@@ -61,7 +61,8 @@ static bool count_bytes(const btf_svd_desc *desc, const svd_plan *plan, uint64_t
   return btfi_add(held, surplus, bytes) && btfi_add(*bytes, panels, bytes) && btfi_add(*bytes, small, bytes);
 }
 
-btf_status btfi_svd_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t rank, svd_plan *plan) {
+btf_status btfi_svd_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t rank, bool quiet,
+                         svd_plan *plan) {
   const uint64_t smaller = BTFI_MIN(desc->items, desc->length);
   /* Columns beyond the rank speed up convergence, and give strays room. */
   const uint32_t spare = BTFI_MAX(8u, rank / 4);
@@ -92,7 +93,7 @@ btf_status btfi_svd_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t ra
   }
   if (!fits) {
     plan->least_bytes = bytes;
-    return btfi_fail(ctx, BTF_E_LIMIT,
+    return btfi_fail(quiet ? NULL : ctx, BTF_E_LIMIT,
                      "svd: a working set of %" PRIu64 " bytes is too small for %u components of %" PRIu64
                      " x %" PRIu64 " values; at least %" PRIu64 " bytes are needed",
                      desc->max_working_set, rank, desc->items, desc->length, bytes);

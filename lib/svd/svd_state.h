@@ -25,6 +25,7 @@ typedef struct svd_state {
   btf_context *ctx;
   const btf_svd_desc *desc;
   const btf_job *job;
+  bool quiet;      /* the log hears nothing of a budget that is too small */
   double from, to; /* progress of the attempt at hand */
   double reached;  /* the last that was reported */
   btfi_random random;
@@ -76,7 +77,9 @@ enum {
 
 /* ---- svd_plan.c ---- */
 
-btf_status btfi_svd_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t rank, svd_plan *plan);
+/* A quiet refusal of the budget sets the message but does not reach the log. */
+btf_status btfi_svd_plan(btf_context *ctx, const btf_svd_desc *desc, uint32_t rank, bool quiet,
+                         svd_plan *plan);
 /* Allocates what the plan says; the end frees it, also after a failure. */
 btf_status btfi_svd_begin_state(svd_state *s);
 void btfi_svd_end_state(svd_state *s);
