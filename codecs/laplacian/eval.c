@@ -21,6 +21,11 @@ uint32_t btfi_laplacian_values_touched(const btfi_laplacian_state *s, float lod)
          s->layout.first[btfi_laplacian_first_level(lod, s->grid.levels, &weight)];
 }
 
+/* The kernels go on to whole vectors: what they leave behind the last value is of other rows, or nobody's. */
+static void clear_slack(const btfi_laplacian_state *s, float *values) {
+  memset(values + s->layout.first[s->grid.levels], 0, LAPLACIAN_SLACK * sizeof *values);
+}
+
 /* ---- directions ---- */
 
 static void tap_directions(const btfi_laplacian_state *s, const btf_interp *light, const btf_interp *view,
@@ -53,6 +58,15 @@ static float luma_mean(const btfi_laplacian_state *s, const float light[3], cons
 
 /* ---- texels ---- */
 
+/* Blended eigen-ABRDFs of all levels from the value `at` on, each where it is in a row. */
+static void blend_eigen(const btfi_laplacian_state *s, const btfi_laplacian_rows *rows, uint32_t at,
+                        float *eigen) {
+  btfi_laplacian_rows from_first = *rows;
+  for (uint32_t r = 0; r < rows->count; r++) from_first.row[r] += (uint64_t)at * s->layout.value_bytes;
+  s->blend(&from_first, s->layout.first[s->grid.levels] - at, eigen + at);
+  clear_slack(s, eigen);
+}
+
 /* Weights of all levels from `first` on, each where its values are in a row. */
 static void blend_weights(const btfi_laplacian_state *s, float u, float v, uint32_t first, float first_weight,
                           float *weights) {
@@ -64,8 +78,6 @@ static void blend_weights(const btfi_laplacian_state *s, float u, float v, uint3
     btfi_laplacian_linear(share_x, grid->width[0], grid->wrap, finest_x, finest_wx);
     btfi_laplacian_linear(share_y, grid->height[0], grid->wrap, finest_y, finest_wy);
   }
-  /* The kernels go on to whole vectors; where the last level has no values nobody writes there. */
-  memset(weights + s->layout.first[grid->levels], 0, LAPLACIAN_SLACK * sizeof *weights);
   for (uint32_t k = first; k < grid->levels; k++) {
     const float level_weight = k == first ? first_weight : 1.0f;
     const uint64_t texel_bytes = s->layout.texel_bytes[k], line_bytes = texel_bytes * grid->width[k];
@@ -82,6 +94,7 @@ static void blend_weights(const btfi_laplacian_state *s, float u, float v, uint3
     const float weight[4] = {wx[0] * wy[0], wx[1] * wy[0], wx[0] * wy[1], wx[1] * wy[1]};
     s->blend4(row, weight, s->layout.first[k + 1] - s->layout.first[k], weights + s->layout.first[k]);
   }
+  clear_slack(s, weights);
 }
 
 /* ---- the sum ---- */
@@ -102,10 +115,7 @@ static void finish(const btfi_laplacian_state *s, const float *eigen, const floa
 static void evaluate(const btfi_laplacian_state *s, const btfi_laplacian_rows *rows, float u, float v,
                      uint32_t first, float first_weight, float luma, float *out) {
   _Alignas(64) float eigen[SCRATCH], weights[SCRATCH];
-  const uint32_t at = s->layout.first[first];
-  btfi_laplacian_rows from_first = *rows;
-  for (uint32_t r = 0; r < rows->count; r++) from_first.row[r] += (uint64_t)at * s->layout.value_bytes;
-  s->blend(&from_first, s->layout.first[s->grid.levels] - at, eigen + at);
+  blend_eigen(s, rows, s->layout.first[first], eigen);
   blend_weights(s, u, v, first, first_weight, weights);
   finish(s, eigen, weights, first, luma, out);
 }
@@ -191,7 +201,6 @@ static void evaluate_block(const btfi_laplacian_state *s, const btf_batch *batch
   _Alignas(64) float eigen[SCRATCH], weights[SCRATCH];
   btf_interp light[BATCH], view[BATCH];
   uint8_t light_run[BATCH], view_run[BATCH];
-  const uint32_t end = s->layout.first[s->grid.levels];
   btfi_laplacian_rows rows = {.count = 0};
   uint32_t kept = UINT32_MAX;
   float luma = 0.0f;
@@ -211,10 +220,7 @@ static void evaluate_block(const btfi_laplacian_state *s, const btf_batch *batch
       kept = UINT32_MAX;
     }
     if (first < kept) {
-      const uint32_t at = s->layout.first[first];
-      btfi_laplacian_rows from_first = rows;
-      for (uint32_t r = 0; r < rows.count; r++) from_first.row[r] += (uint64_t)at * s->layout.value_bytes;
-      s->blend(&from_first, end - at, eigen + at);
+      blend_eigen(s, &rows, s->layout.first[first], eigen);
       kept = first;
     }
     blend_weights(s, batch->uv[0][q], batch->uv[1][q], first, weight, weights);
