@@ -6,6 +6,7 @@
 #include "cli.h"
 
 extern const cli_command cmd_bench;
+extern const cli_command cmd_check;
 extern const cli_command cmd_codecs;
 extern const cli_command cmd_compare;
 extern const cli_command cmd_encode;

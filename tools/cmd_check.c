@@ -1,0 +1,195 @@
+/* SPDX-License-Identifier: MIT */
+/* cmd_check.c: a physical and data audit of the samples. */
+#include <inttypes.h>
+#include <math.h>
+
+#include "audit.h"
+#include "commands.h"
+#include "json_writer.h"
+#include "safe_text.h"
+
+/* Values at the largest one are a sign of saturation when they are more than this part of all. */
+static const double saturated_part = 1e-4;
+/* A direction that differs from its neighbours by more than this |log| was exposed or registered otherwise.
+ */
+static const double flicker_limit = 0.2;
+/* Interpolated and of a finite set of lights, an albedo of 1 may seem a little more. */
+static const double albedo_limit = 1.05;
+
+typedef struct finding {
+  bool there;
+  const char *key, *text;
+} finding;
+
+enum { FINDINGS = 9 };
+
+static void judge(const sample_source *s, const audit *a, bool absolute, finding out[FINDINGS]) {
+  const bool inside = s->quantity == BTF_QUANTITY_BRDF_COS;
+  const finding list[FINDINGS] = {
+      {a->not_finite > 0, "not_finite", "values that are not finite"},
+      {a->negative > 0, "negative", "negative values"},
+      {a->cut_off && (double)a->at_most > saturated_part * (double)a->values && a->at_most > 1, "saturated",
+       "many values are the largest one: highlights are cut off"},
+      {a->missing > 0, "missing", "pictures that are black all over"},
+      {a->dead > 0 && a->dead < (uint64_t)s->width * s->height, "dead",
+       "texels that never change, among others that do"},
+      {a->cosine == AUDIT_COSINE_INSIDE && !inside, "cosine_inside",
+       "the cosine of the light seems to be in the values, though they are said to be brdf"},
+      {a->cosine == AUDIT_COSINE_OUTSIDE && inside, "cosine_outside",
+       "the cosine of the light seems not to be in the values, though they are said to be brdf_cos"},
+      {absolute && a->albedo > albedo_limit, "albedo", "more light leaves than arrives"},
+      {fmax(a->flicker_light, a->flicker_view) > flicker_limit, "flicker",
+       "a direction is much brighter or darker than its neighbours"},
+  };
+  for (int i = 0; i < FINDINGS; i++) out[i] = list[i];
+}
+
+static const char *cosine_word(audit_cosine cosine) {
+  return cosine == AUDIT_COSINE_INSIDE ? "inside" : cosine == AUDIT_COSINE_OUTSIDE ? "outside" : "unknown";
+}
+
+static void print_place(const char *what, uint64_t count, const audit_place *p, bool directions) {
+  printf("  %-22s %" PRIu64, what, count);
+  if (count > 0 && directions)
+    printf(", first at x %" PRIu32 ", y %" PRIu32 ", light %" PRIu32 ", view %" PRIu32, p->x, p->y, p->light,
+           p->view);
+  else if (count > 0)
+    printf(", first at x %" PRIu32 ", y %" PRIu32, p->x, p->y);
+  putchar('\n');
+}
+
+static void print_text(const sample_source *s, const audit *a, const finding *findings) {
+  int problems = 0;
+  safe_text_put(stdout, s->path);
+  printf(": %" PRIu64 " values from %.6g to %.6g\n", a->values, a->least, a->most);
+  print_place("not finite", a->not_finite, &a->first_not_finite, true);
+  print_place("negative", a->negative, &a->first_negative, true);
+  printf("  %-22s %" PRIu64 " (%.4f %%)\n", "at the largest value", a->at_most,
+         100 * (double)a->at_most / (double)a->values);
+  printf("  %-22s %" PRIu32, "black pictures", a->missing);
+  if (a->missing > 0)
+    printf(", first light %" PRIu32 ", view %" PRIu32, a->first_missing.light, a->first_missing.view);
+  putchar('\n');
+  print_place("texels that never vary", a->dead, &a->first_dead, false);
+  if (a->pairs > 0)
+    printf("  %-22s %.4f as stored, %.4f with the cosine divided out, %.4f with it multiplied in (median "
+           "|log|, %" PRIu32 " pairs)\n",
+           "reciprocity error", a->reciprocity, a->reciprocity_divided, a->reciprocity_multiplied, a->pairs);
+  else
+    printf("  %-22s no pairs of directions to compare\n", "reciprocity error");
+  printf("  %-22s %s, stored as %s\n", "cosine of the light", cosine_word(a->cosine),
+         input_quantity(s->quantity));
+  printf("  %-22s %.4f at most, seen from view %" PRIu32 "; %.4f at x %" PRIu32 ", y %" PRIu32 "\n",
+         "directional albedo", a->albedo, a->albedo_view, a->worst_albedo, a->worst_texel.x,
+         a->worst_texel.y);
+  printf("  %-22s %.4f at light %" PRIu32 ", %.4f at view %" PRIu32 " (|log| to the neighbours' mean)\n",
+         "flicker", a->flicker_light, a->flicker_light_index, a->flicker_view, a->flicker_view_index);
+  for (int i = 0; i < FINDINGS; i++) {
+    if (!findings[i].there) continue;
+    printf("problem: %s\n", findings[i].text);
+    problems++;
+  }
+  if (problems == 0) puts("no problems found");
+}
+
+static void write_place(json_writer *j, const char *key, uint64_t count, const audit_place *p) {
+  json_flat_object(j, key);
+  json_integer(j, "count", count);
+  if (count > 0) {
+    json_integer(j, "x", p->x);
+    json_integer(j, "y", p->y);
+    json_integer(j, "light", p->light);
+    json_integer(j, "view", p->view);
+  }
+  json_close(j, '}');
+}
+
+static void print_json(const sample_source *s, const audit *a, const finding *findings) {
+  json_writer j;
+  json_begin(&j, stdout);
+  json_object(&j, NULL);
+  json_string(&j, "file", s->path);
+  json_integer(&j, "values", a->values);
+  json_number(&j, "least", a->least);
+  json_number(&j, "most", a->most);
+  json_integer(&j, "at_most", a->at_most);
+  write_place(&j, "not_finite", a->not_finite, &a->first_not_finite);
+  write_place(&j, "negative", a->negative, &a->first_negative);
+  write_place(&j, "missing", a->missing, &a->first_missing);
+  write_place(&j, "dead", a->dead, &a->first_dead);
+  json_integer(&j, "reciprocity_pairs", a->pairs);
+  json_number(&j, "reciprocity", a->reciprocity);
+  json_number(&j, "reciprocity_divided", a->reciprocity_divided);
+  json_number(&j, "reciprocity_multiplied", a->reciprocity_multiplied);
+  json_string(&j, "cosine", cosine_word(a->cosine));
+  json_string(&j, "quantity", input_quantity(s->quantity));
+  json_number(&j, "albedo", a->albedo);
+  json_integer(&j, "albedo_view", a->albedo_view);
+  json_number(&j, "worst_albedo", a->worst_albedo);
+  json_integer(&j, "worst_x", a->worst_texel.x);
+  json_integer(&j, "worst_y", a->worst_texel.y);
+  json_number(&j, "flicker_light", a->flicker_light);
+  json_integer(&j, "flicker_light_index", a->flicker_light_index);
+  json_number(&j, "flicker_view", a->flicker_view);
+  json_integer(&j, "flicker_view_index", a->flicker_view_index);
+  json_flat_array(&j, "problems");
+  for (int i = 0; i < FINDINGS; i++)
+    if (findings[i].there) json_string(&j, NULL, findings[i].key);
+  json_close(&j, ']');
+  json_close(&j, '}');
+  json_end(&j);
+}
+
+static bool is_absolute(const input *in) {
+  if (in->dataset != NULL) {
+    btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+    return btf_dataset_describe(in->dataset, &d) == BTF_OK && d.scale == BTF_SCALE_ABSOLUTE;
+  }
+  btf_model_info m = BTF_MODEL_INFO_INIT;
+  btf_model_describe(in->model, &m);
+  return m.scale == BTF_SCALE_ABSOLUTE;
+}
+
+static int run(cli *c) {
+  input in;
+  sample_source source;
+  audit result = {0};
+  finding findings[FINDINGS];
+  int failed = input_open(c, c->operands[0], &in);
+  if (failed) return failed;
+  failed = sample_source_open(&in, &source);
+  source.marks_defects = true;
+  if (!failed) failed = audit_run(c, &source, &result);
+  if (!failed) {
+    judge(&source, &result, is_absolute(&in), findings);
+    if (cli_has(c, "sheet")) failed = audit_write_sheet(&source, &result, cli_value(c, "sheet"));
+    if (cli_has(c, "json"))
+      print_json(&source, &result, findings);
+    else
+      print_text(&source, &result, findings);
+  }
+  audit_free(&result);
+  input_close(&in);
+  return failed;
+}
+
+static const cli_option options[] = {
+    {"sheet", 0, "PATH", "write a picture of the means and of the reciprocity errors (.png or .exr)",
+     CLI_OPTION_PATH | CLI_OPTION_UNRECORDED},
+    CLI_OPTION_JSON,
+    CLI_OPTIONS_END};
+
+const cli_command cmd_check = {"check",
+                               "audits the samples: values, directions, reciprocity, energy",
+                               "FILE [--json] [--sheet OUT.png]",
+                               "Takes data sets, measured data and containers. Looks for values that are not "
+                               "finite, negative or cut off, black\n"
+                               "pictures, texels that never vary, light and view directions that differ from "
+                               "their neighbours, and energy that\n"
+                               "comes from nowhere, and tells from reciprocity whether the cosine of the "
+                               "light is in the values. What it finds is\n"
+                               "printed; the status is 0 all the same.",
+                               options,
+                               1,
+                               1,
+                               run};
