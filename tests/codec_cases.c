@@ -163,7 +163,7 @@ const codec_case codec_cases[] = {
      .isa = 1e-5,
      .threads = 1e-3,
      .streamed = 1e-3,
-     .slack = 1024 * KIB},
+     .slack = 64 * KIB},
 
     /* Between samples mean=phong is the analytic mean at the directions themselves, not the mean of the
      * samples around: on grids of 5 x 3 and 4 x 3 directions that is 0.139 of the data. Tables interpolate as
