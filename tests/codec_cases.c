@@ -75,7 +75,7 @@ const codec_case codec_cases[] = {
      .isa = 1e-5,
      .threads = 1e-3,
      .streamed = 1e-3,
-     .slack = 1024 * KIB},
+     .slack = 128 * KIB},
     {.codec = "cmf",
      .options = "edge=8,resolution=8,codebook=0,map=cube,levels=2",
      .channels = ANY,
@@ -84,7 +84,7 @@ const codec_case codec_cases[] = {
      .isa = 1e-5,
      .threads = 1e-3,
      .streamed = 1e-3,
-     .slack = 1024 * KIB},
+     .slack = 128 * KIB},
     /* 22 dB are 0.24 at most, as below. */
     {.codec = "cmf",
      .options = "edge=8,resolution=8,psnr=22,max_codebook=0,levels=2",

@@ -467,7 +467,7 @@ static void test_budget_and_failures(void **unused) {
   const uint64_t need = strtoull(named + strlen("working set of "), NULL, 10);
   assert_in_range(need, 2 * 192 * 192 * 8, 2 * 192 * 192 * 8 + 100000);
   assert_ok(btfi_cmf_hf_create(btfi_host(), ctx, &s.g, 0.1, need, &hf));
-  assert_true(btfi_cmf_hf_solve_bytes(btfi_host(), ctx, hf, 10, 3) >= 10 * 3 * 192 * 8);
+  assert_true(btfi_cmf_hf_solve_bytes(btfi_host(), ctx, btfi_cmf_hf_unknowns(hf), 10, 3) >= 10 * 3 * 192 * 8);
   btfi_cmf_hf_free(btfi_host(), ctx, hf);
   btfi_cmf_hf_free(btfi_host(), ctx, NULL);
   test_context_done(ctx, &memory);
