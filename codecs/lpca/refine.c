@@ -48,11 +48,9 @@ static btf_status read_block(const refinement *r, const btf_block *block) {
 static btf_status take_members(refinement *r, uint32_t k, const uint32_t *texel, uint32_t count,
                                bool project) {
   const uint32_t columns = r->columns, components = columns - 1;
-  const btfi_lpca_layout *l = &r->w->layout;
   const float *basis = r->w->refined + (uint64_t)k * columns * r->rows;
   float *weights = r->w->level[0].weights;
   double *moments = r->moments + (size_t)k * columns * columns;
-  (void)l;
   if (project)
     BTF_TRY(r->host->gemm(r->ctx, BTF_TRANSPOSE_B, count, columns, r->rows, 1.0f, r->gathered, r->rows, basis,
                           r->rows, 0.0f, r->products, columns));
