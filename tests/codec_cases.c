@@ -75,7 +75,7 @@ const codec_case codec_cases[] = {
      .isa = 1e-5,
      .threads = 1e-3,
      .streamed = 1e-3,
-     .slack = 1024 * KIB},
+     .slack = 128 * KIB},
     {.codec = "cmf",
      .options = "edge=8,resolution=8,codebook=0,map=cube,levels=2",
      .channels = ANY,
@@ -84,7 +84,7 @@ const codec_case codec_cases[] = {
      .isa = 1e-5,
      .threads = 1e-3,
      .streamed = 1e-3,
-     .slack = 1024 * KIB},
+     .slack = 128 * KIB},
     /* 22 dB are 0.24 at most, as below. */
     {.codec = "cmf",
      .options = "edge=8,resolution=8,psnr=22,max_codebook=0,levels=2",
@@ -163,7 +163,7 @@ const codec_case codec_cases[] = {
      .isa = 1e-5,
      .threads = 1e-3,
      .streamed = 1e-3,
-     .slack = 1024 * KIB},
+     .slack = 64 * KIB},
 
     /* Between samples mean=phong is the analytic mean at the directions themselves, not the mean of the
      * samples around: on grids of 5 x 3 and 4 x 3 directions that is 0.139 of the data. Tables interpolate as
@@ -177,7 +177,7 @@ const codec_case codec_cases[] = {
      .level_rmse = 5e-4,
      .between = 0.145,
      .isa = 2e-6,
-     .slack = 1024 * KIB},
+     .slack = 64 * KIB},
     {.codec = "laplacian",
      .options = "psnr=30,mean=table,filter=paper,levels=2,storage=f32",
      .channels = RGB,
@@ -186,7 +186,7 @@ const codec_case codec_cases[] = {
      .level_rmse = 0.095,
      .between = 1e-3,
      .isa = 2e-6,
-     .slack = 4608 * KIB},
+     .slack = 64 * KIB},
     /* A target above all of the dark material leaves its mean alone, which is off by 0.201. */
     {.codec = "laplacian",
      .options = "rmse=0.02,filter=binomial",
@@ -195,7 +195,7 @@ const codec_case codec_cases[] = {
      .level_rmse = 0.25,
      .between = 0.145,
      .isa = 2e-6,
-     .slack = 1024 * KIB},
+     .slack = 64 * KIB},
     {.codec = "laplacian",
      .options = "y=3,cb=0,cr=1,budget=adaptive,storage=f32,filter=paper",
      .channels = RGB,
@@ -203,7 +203,7 @@ const codec_case codec_cases[] = {
      .level_rmse = 0.25,
      .between = 0.145,
      .isa = 2e-6,
-     .slack = 1024 * KIB},
+     .slack = 64 * KIB},
     {.codec = "laplacian",
      .options = "y=20,mean=table,levels=2",
      .channels = RGB,
@@ -211,7 +211,7 @@ const codec_case codec_cases[] = {
      .level_rmse = 5e-4,
      .between = 0.011,
      .isa = 2e-6,
-     .slack = 1024 * KIB},
+     .slack = 64 * KIB},
     {.codec = "laplacian",
      .options = "levels=25",
      .channels = RGB,
@@ -219,7 +219,7 @@ const codec_case codec_cases[] = {
      .level_rmse = 5e-4,
      .between = 0.145,
      .isa = 2e-6,
-     .slack = 1024 * KIB},
+     .slack = 64 * KIB},
     {.codec = "laplacian",
      .options = "rmse=1e-4,max_components=3",
      .channels = RGB,
@@ -227,7 +227,7 @@ const codec_case codec_cases[] = {
      .level_rmse = 0.25,
      .between = 0.145,
      .isa = 2e-6,
-     .slack = 1024 * KIB},
+     .slack = 64 * KIB},
 };
 const size_t codec_case_count = sizeof codec_cases / sizeof *codec_cases;
 

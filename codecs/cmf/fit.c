@@ -91,7 +91,40 @@ static void *take(btfi_cmf_fitting *f, uint64_t count, uint64_t size) {
   return f->host->alloc(f->ctx, count, size);
 }
 
-static btf_status create_hf(btfi_cmf_fitting *f) {
+/* ---- the homomorphic method ---- */
+
+/* Texels of the maps that are unknowns: a lookup reads no others. */
+static uint64_t count_unknowns(const btfi_cmf_fitting *f) {
+  const btfi_cmf_map map = btfi_cmf_map_of(f->settings.map, f->settings.edge);
+  uint64_t count = 0;
+  for (uint32_t i = 0; i < f->geometry->map_texels; i++) count += btfi_cmf_map_reads(&map, i);
+  return f->factors * count;
+}
+
+static uint64_t tap_bytes(const btfi_cmf_fitting *f) {
+  return (uint64_t)f->pairs * f->factors * 4 * (sizeof(uint32_t) + sizeof(float)) +
+         (uint64_t)f->factors * f->geometry->map_texels;
+}
+
+/* Bytes of an ABRDF that waits for the others, with its place. */
+static uint64_t collected_bytes(const btfi_cmf_fitting *f) {
+  return (uint64_t)f->pairs * f->channels * sizeof(float) + sizeof(uint64_t);
+}
+
+/* What stays of the method beside what is collected; with `making` what making it takes, which is freed
+ * before the rest is there: its taps and, as LAPACK works on a copy, the matrix twice. */
+static uint64_t hf_bytes(const btfi_cmf_fitting *f, bool making) {
+  const uint64_t n = count_unknowns(f);
+  const uint64_t kept = 8 * n * n + 8 * n + 4 * (uint64_t)f->pairs +
+                        4 * (uint64_t)f->factors * f->geometry->map_texels +
+                        (uint64_t)f->pairs * f->factors * 4 * (sizeof(uint32_t) + sizeof(float));
+  if (making) return kept + 8 * n * n + 12 * n + tap_bytes(f);
+  const uint64_t solving = btfi_cmf_hf_solve_bytes(f->host, f->ctx, n, CMF_SOLVE_TOGETHER, f->channels);
+  return kept + solving + CMF_SOLVE_TOGETHER * (uint64_t)f->factors * f->map_values * sizeof(float);
+}
+
+/* `rest` is what all that follows needs. */
+static btf_status create_hf(btfi_cmf_fitting *f, uint64_t rest) {
   const btfi_cmf_geometry *g = f->geometry;
   btfi_cmf_hf_geometry hf = {
       .pairs = f->pairs, .maps = f->factors, .width = f->settings.edge, .height = f->settings.edge};
@@ -118,25 +151,20 @@ static btf_status create_hf(btfi_cmf_fitting *f) {
   hf.weight = weight;
   hf.use_texel = use_texel;
   if (status == BTF_OK)
-    status = btfi_cmf_hf_create(f->host, f->ctx, &hf, f->lambda, btfi_cmf_left(f), &f->hf);
+    status = btfi_cmf_hf_create(f->host, f->ctx, &hf, f->lambda, btfi_cmf_left(f) - tap_bytes(f), &f->hf);
   f->host->free(f->ctx, texel);
   f->host->free(f->ctx, weight);
   f->host->free(f->ctx, use_texel);
-  const uint64_t most = (uint64_t)f->factors * f->settings.edge * f->settings.edge;
-  if (status == BTF_E_LIMIT)
-    return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: the homomorphic method needs a working set of %llu MiB",
-                         (unsigned long long)((f->used + 32 * most * most) >> 20) + 64);
-  if (status != BTF_OK) return status;
-  const uint64_t unknowns = btfi_cmf_hf_unknowns(f->hf);
-  f->used += 8 * unknowns * unknowns + btfi_cmf_hf_solve_bytes(f->host, f->ctx, f->hf, 64, f->channels) +
-             64 * (uint64_t)f->factors * f->map_values * sizeof(float);
-  const uint64_t abrdf = (uint64_t)f->pairs * f->channels * sizeof(float);
-  f->collect = btfi_cmf_left(f) / 4 / abrdf;
+  BTF_TRY(status);
+  f->used += hf_bytes(f, false);
+  f->collect = 1 + (btfi_cmf_left(f) - collected_bytes(f) - rest) / 4 / collected_bytes(f);
   if (f->collect > f->level_first[1]) f->collect = f->level_first[1];
-  if (f->collect < 1) f->collect = 1;
-  f->collected = take(f, f->collect, abrdf);
+  f->used += f->collect * sizeof(uint64_t);
+  f->collected = take(f, f->collect, collected_bytes(f) - sizeof(uint64_t));
   return f->collected != NULL ? BTF_OK : BTF_E_NOMEM;
 }
+
+/* ---- room ---- */
 
 btf_status btfi_cmf_prepare_geometry(btfi_cmf_fitting *f, const btf_dataset_desc *desc, double from,
                                      double to) {
@@ -178,25 +206,30 @@ static uint64_t turn_bytes(const btfi_cmf_fitting *f, uint64_t samples, uint64_t
   return books + (search + most > visit ? search + most : visit);
 }
 
-/* Room for the factors of as many texels as leave enough for the rest; if that is little, fewer samples. */
+/* The fewest texels that codebooks can be made from. */
+static uint64_t least_samples(const btfi_cmf_fitting *f) {
+  return f->entries < f->level_first[1] ? f->entries : f->level_first[1];
+}
+
+static uint64_t bytes_with(const btfi_cmf_fitting *f, uint64_t samples) {
+  return turn_bytes(f, samples, samples) + samples * f->record_bytes;
+}
+
+/* Room for the factors of as many texels as leave enough for the rest; if that is little, fewer samples. It
+ * is known that there is room for the fewest. */
 static btf_status make_store(btfi_cmf_fitting *f) {
-  const uint64_t texels = f->level_first[f->levels], finest = f->level_first[1];
-  const uint64_t least = f->entries < finest ? f->entries : finest;
-  f->store_kind = f->storage == CMF_U8 ? CMF_U8 : CMF_F16;
-  f->record_bytes = (uint64_t)f->factors * f->map_values * btfi_cmf_value_bytes(f->store_kind);
+  const uint64_t texels = f->level_first[f->levels], finest = f->level_first[1], least = least_samples(f);
   f->samples = f->wanted_samples < texels ? f->wanted_samples : texels;
   f->capacity = texels;
   while (f->capacity * f->record_bytes + turn_bytes(f, f->samples, f->capacity) > btfi_cmf_left(f)) {
     if (f->samples > finest) f->samples = finest;
     /* Each texel more takes its record and its place in the index. */
-    const uint64_t fixed = turn_bytes(f, f->samples, f->samples) + f->samples * f->record_bytes;
-    if (fixed <= btfi_cmf_left(f)) {
-      f->capacity = f->samples + (btfi_cmf_left(f) - fixed) / (f->record_bytes + 4 * (uint64_t)f->factors);
+    const uint64_t fixed = bytes_with(f, f->samples);
+    if (fixed <= btfi_cmf_left(f) || f->samples <= least) {
+      const uint64_t more = fixed <= btfi_cmf_left(f) ? btfi_cmf_left(f) - fixed : 0;
+      f->capacity = f->samples + more / (f->record_bytes + 4 * (uint64_t)f->factors);
       break;
     }
-    if (f->samples <= least)
-      return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: codebooks of %u entries need a working set of %llu KiB",
-                           f->entries, (unsigned long long)((f->used + fixed) >> 10) + 1);
     f->samples = f->samples / 2 > least ? f->samples / 2 : least;
   }
   if (f->capacity > texels) f->capacity = texels;
@@ -204,19 +237,43 @@ static btf_status make_store(btfi_cmf_fitting *f) {
   return f->store != NULL ? BTF_OK : BTF_E_NOMEM;
 }
 
+/* Ends the fit unless the working set holds that much more. */
+static btf_status expect_room(btfi_cmf_fitting *f, uint64_t bytes) {
+  const unsigned long long needed = (unsigned long long)((f->used + bytes) >> 10) + 1;
+  if (bytes <= btfi_cmf_left(f)) return BTF_OK;
+  if (f->entries > 0)
+    return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: codebooks of %u entries need a working set of %llu KiB",
+                         f->entries, needed);
+  return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: %s need a working set of %llu KiB",
+                       f->settings.method == CMF_HOMOMORPHIC ? "homomorphic factors" : "tables and reading",
+                       needed);
+}
+
 btf_status btfi_cmf_make_room(btfi_cmf_fitting *f) {
   const uint64_t texels = f->level_first[f->levels];
   const uint64_t abrdf = ((uint64_t)f->pairs * f->channels * sizeof(float) + 63) / 64 * 64;
   const uint64_t maps = ((uint64_t)f->factors * f->map_values * sizeof(float) + 63) / 64 * 64;
+  const uint64_t scales = texels * f->scales * f->channels;
   f->threads = f->host->thread_count(f->ctx);
   f->thread_bytes = f->geometry->scratch_bytes + maps + (f->rotate ? 2 * abrdf : 0);
+  f->store_kind = f->storage == CMF_U8 ? CMF_U8 : CMF_F16;
+  f->record_bytes = (uint64_t)f->factors * f->map_values * btfi_cmf_value_bytes(f->store_kind);
+  const uint64_t arrays = f->threads * (f->thread_bytes + sizeof *f->report) +
+                          scales * sizeof *f->scale * (f->has_target ? 2 : 1) + (f->rotate ? texels : 0);
+  const uint64_t rest = f->entries > 0 ? bytes_with(f, least_samples(f)) : btfi_cmf_visit_bytes(f);
+  uint64_t most = rest;
+  if (f->settings.method == CMF_HOMOMORPHIC) {
+    const uint64_t making = hf_bytes(f, true), kept = hf_bytes(f, false) + collected_bytes(f) + rest;
+    most = making > kept ? making : kept;
+  }
+  BTF_TRY(expect_room(f, arrays + most));
   f->scratch = take(f, f->threads, f->thread_bytes);
   f->report = take(f, f->threads, sizeof *f->report);
-  f->scale = take(f, texels * f->scales * f->channels, sizeof *f->scale);
+  f->scale = take(f, scales, sizeof *f->scale);
   if (f->scratch == NULL || f->report == NULL || f->scale == NULL) return BTF_E_NOMEM;
   memset(f->report, 0, f->threads * sizeof *f->report);
   if (f->has_target) {
-    f->kept_scale = take(f, texels * f->scales * f->channels, sizeof *f->kept_scale);
+    f->kept_scale = take(f, scales, sizeof *f->kept_scale);
     if (f->kept_scale == NULL) return BTF_E_NOMEM;
   }
   if (f->rotate) {
@@ -224,11 +281,8 @@ btf_status btfi_cmf_make_room(btfi_cmf_fitting *f) {
     if (f->angle == NULL) return BTF_E_NOMEM;
     memset(f->angle, 0, texels);
   }
-  if (f->settings.method == CMF_HOMOMORPHIC) BTF_TRY(create_hf(f));
-  if (f->entries > 0) return make_store(f);
-  if (btfi_cmf_left(f) >= btfi_cmf_visit_bytes(f)) return BTF_OK;
-  return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: tables and reading need a working set of %llu KiB",
-                       (unsigned long long)((f->used + btfi_cmf_visit_bytes(f)) >> 10) + 1);
+  if (f->settings.method == CMF_HOMOMORPHIC) BTF_TRY(create_hf(f, rest));
+  return f->entries > 0 ? make_store(f) : BTF_OK;
 }
 
 static void log_report(const btfi_cmf_fitting *f) {

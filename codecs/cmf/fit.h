@@ -8,6 +8,8 @@
 #include "cmf.h"
 #include "homomorphic.h"
 
+enum { CMF_SOLVE_TOGETHER = 64 /* texels that one homomorphic solution takes */ };
+
 /* Below what the loader takes; a material that has it is refused. */
 #define CMF_LARGEST_SCALE 1e29f
 

@@ -19,7 +19,7 @@ typedef struct making {
   btf_context *ctx;
   btfi_cmf_geometry *g;
   const btf_dirset *lights, *views;
-  uint64_t budget;
+  uint64_t budget, planned; /* planned: bytes of all tables but those of means */
   const btf_job *job;
   double from, to;    /* of the stage at work */
   sample *samples[2]; /* of its sides */
@@ -272,12 +272,13 @@ static btf_status make_means(making *m, btfi_cmf_stage_geometry *s) {
   unsigned char *known = m->host->alloc(m->ctx, s->rows, 1);
   btf_status status = sum != NULL && known != NULL ? BTF_OK : BTF_E_NOMEM;
   if (status == BTF_OK) status = walk_means(m, s, sum, known, false, &entries);
-  if (status == BTF_OK && (entries > UINT32_MAX || 8 * entries > m->budget))
+  if (status == BTF_OK && (entries > UINT32_MAX || 8 * entries > m->budget - m->planned))
     status =
         m->host->fail(m->ctx, BTF_E_LIMIT,
                       "cmf: the mean over a projection needs %llu MiB of tables; lower resolution or give "
                       "it that working set",
-                      (unsigned long long)(entries >> 16) + 64);
+                      (unsigned long long)((m->planned >> 19) + (entries >> 16)) + 64);
+  if (status == BTF_OK) m->planned += 8 * entries;
   if (status == BTF_OK) {
     s->start = table(m, s->rows + 1ull, sizeof *s->start);
     s->pair = table(m, entries, sizeof *s->pair);
@@ -293,7 +294,7 @@ static btf_status make_means(making *m, btfi_cmf_stage_geometry *s) {
 
 /* ---- stages ---- */
 
-static btf_status make_stage(making *m, uint32_t index) {
+static void plan_stage(making *m, uint32_t index) {
   btfi_cmf_stage_geometry *s = &m->g->stage[index];
   s->stage = m->g->settings.stage[index];
   s->sides = s->stage.mean ? 1 : 2;
@@ -301,21 +302,56 @@ static btf_status make_stage(making *m, uint32_t index) {
   s->rows = s->side[0].domain.count;
   s->columns = s->side[1].domain.count;
   s->native = !s->stage.mean && s->side[0].domain.native && s->side[1].domain.native;
-  const uint64_t cells = s->stage.mean || s->native ? 0 : (uint64_t)s->rows * s->columns;
-  /* Tables, and for each thread two matrices of four channels. */
-  const uint64_t bytes =
-      cells * (sizeof(btfi_cmf_cell) + sizeof(float) + 32ull * m->host->thread_count(m->ctx));
-  if (bytes > m->budget && m->g->settings.method != CMF_HOMOMORPHIC)
-    return m->host->fail(
-        m->ctx, BTF_E_LIMIT,
-        "cmf: stage %u of %u x %u cells needs a working set of %llu MiB; lower the resolution or "
-        "raise it",
-        index + 1, s->rows, s->columns, (unsigned long long)(bytes >> 19) + 64);
+}
+
+/* Whether the stage has resampled tables. */
+static bool is_resampled(const making *m, const btfi_cmf_stage_geometry *s) {
+  return !s->native && m->g->settings.method != CMF_HOMOMORPHIC;
+}
+
+static uint64_t cells_of(const making *m, const btfi_cmf_stage_geometry *s) {
+  return is_resampled(m, s) && !s->stage.mean ? (uint64_t)s->rows * s->columns : 0;
+}
+
+/* Bytes of the tables of a stage but those of a mean, whose size its making tells. */
+static uint64_t stage_bytes(const making *m, const btfi_cmf_stage_geometry *s) {
+  uint64_t bytes = cells_of(m, s) * (sizeof(btfi_cmf_cell) + sizeof(float));
+  if (is_resampled(m, s)) bytes += ((uint64_t)s->rows + s->columns + 1) * sizeof(uint32_t);
+  for (uint32_t k = 0; k < s->sides; k++) {
+    const uint32_t projection = s->stage.pair->projection[k];
+    const uint64_t at = projection == CMF_LIGHT  ? m->g->lights
+                        : projection == CMF_VIEW ? m->g->views
+                                                 : m->g->pairs;
+    bytes += at * sizeof(btfi_cmf_tap) + m->g->map_texels * (sizeof(btfi_cmf_tap) + sizeof(float));
+  }
+  return bytes;
+}
+
+/* The tables of all stages, and two matrices of four channels of the largest for each thread. */
+static btf_status plan_stages(making *m) {
+  const uint32_t count = m->g->settings.stage_count;
+  uint64_t most = 0;
+  for (uint32_t i = 0; i < count; i++) {
+    plan_stage(m, i);
+    m->planned += stage_bytes(m, &m->g->stage[i]);
+    const uint64_t cells = cells_of(m, &m->g->stage[i]);
+    if (cells > most) most = cells;
+  }
+  m->planned += 32 * most * m->host->thread_count(m->ctx);
+  if (m->planned <= m->budget) return BTF_OK;
+  return m->host->fail(m->ctx, BTF_E_LIMIT,
+                       "cmf: tables of %u stages, of up to %llu cells, need a working set of %llu MiB; lower "
+                       "the resolution or raise it",
+                       count, (unsigned long long)most, (unsigned long long)(m->planned >> 19) + 64);
+}
+
+static btf_status make_stage(making *m, uint32_t index) {
+  btfi_cmf_stage_geometry *s = &m->g->stage[index];
   for (uint32_t k = 0; k < s->sides; k++) {
     BTF_TRY(make_to_map(m, &s->side[k]));
     BTF_TRY(make_at(m, s->stage.pair, k, &s->side[k]));
   }
-  if (s->native || m->g->settings.method == CMF_HOMOMORPHIC) return BTF_OK;
+  if (!is_resampled(m, s)) return BTF_OK;
   btf_status status = list_samples(m, &s->side[0].domain, &m->samples[0]);
   if (status == BTF_OK) status = list_samples(m, &s->side[1].domain, &m->samples[1]);
   if (status == BTF_OK) status = s->stage.mean ? make_means(m, s) : make_cells(m, s);
@@ -329,8 +365,13 @@ static btf_status make_stage(making *m, uint32_t index) {
 btf_status btfi_cmf_geometry_create(const btf_host *host, btf_context *ctx, const btfi_cmf_settings *settings,
                                     const btf_dirset *lights, const btf_dirset *views, uint64_t budget,
                                     const btf_job *job, double from, double to, btfi_cmf_geometry **out) {
-  making m = {host, ctx,         host->alloc(ctx, 1, sizeof *m.g), lights, views, budget, job, from,
-              to,   {NULL, NULL}};
+  making m = {.host = host,
+              .ctx = ctx,
+              .g = host->alloc(ctx, 1, sizeof *m.g),
+              .lights = lights,
+              .views = views,
+              .budget = budget,
+              .job = job};
   btf_status status = BTF_OK;
   *out = NULL;
   if (m.g == NULL) return BTF_E_NOMEM;
@@ -341,6 +382,7 @@ btf_status btfi_cmf_geometry_create(const btf_host *host, btf_context *ctx, cons
   m.g->pairs = m.g->lights * m.g->views;
   m.g->map_texels = settings->edge * settings->edge;
   m.g->factors = btfi_cmf_list_factors(settings, m.g->factor);
+  status = plan_stages(&m);
   for (uint32_t i = 0; i < settings->stage_count && status == BTF_OK; i++) {
     m.from = from + (to - from) * i / settings->stage_count;
     m.to = from + (to - from) * (i + 1) / settings->stage_count;

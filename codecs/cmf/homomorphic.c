@@ -219,10 +219,10 @@ typedef struct hf_solve {
   uint64_t maps_step;
 } hf_solve;
 
-uint64_t btfi_cmf_hf_solve_bytes(const btf_host *host, btf_context *ctx, const btfi_cmf_hf *hf,
-                                 uint32_t texels, uint32_t channels) {
+uint64_t btfi_cmf_hf_solve_bytes(const btf_host *host, btf_context *ctx, uint64_t unknowns, uint32_t texels,
+                                 uint32_t channels) {
   return sizeof(double) * channels *
-         ((texels + (uint64_t)host->thread_count(ctx)) * hf->unknowns + (uint64_t)texels);
+         ((texels + (uint64_t)host->thread_count(ctx)) * unknowns + (uint64_t)texels);
 }
 
 /* M^T (log f - mean): the mean is taken out and shared among the maps afterwards, so that all that the data

@@ -36,8 +36,8 @@ void btfi_cmf_hf_free(const btf_host *host, btf_context *ctx, btfi_cmf_hf *hf);
 /* Texels that are map unknowns. */
 uint32_t btfi_cmf_hf_unknowns(const btfi_cmf_hf *hf);
 /* Bytes that btfi_cmf_hf_solve allocates for that many texels at once. */
-uint64_t btfi_cmf_hf_solve_bytes(const btf_host *host, btf_context *ctx, const btfi_cmf_hf *hf,
-                                 uint32_t texels, uint32_t channels);
+uint64_t btfi_cmf_hf_solve_bytes(const btf_host *host, btf_context *ctx, uint64_t unknowns, uint32_t texels,
+                                 uint32_t channels);
 
 /* Factors texels whose value of pair p and channel c is f[texel * f_step + p * channels + c] into
  * maps[texel * maps_step + (j * width * height + y * width + x) * channels + c] > 0. Values below `floor`

@@ -4,8 +4,6 @@
 
 #include "fit.h"
 
-enum { SOLVE_TOGETHER = 64 /* texels that one homomorphic solution takes */ };
-
 uint64_t btfi_cmf_place(const btfi_cmf_choice *choice, uint64_t texel) {
   if (!choice->sampled)
     return texel >= choice->first && texel - choice->first < choice->count ? texel - choice->first
@@ -149,8 +147,9 @@ static void take_solved(void *job, uint32_t index, uint32_t thread) {
 static btf_status solve_collected(visit *v, const uint64_t *texel, float *maps, double from, double to) {
   btfi_cmf_fitting *f = v->f;
   const uint64_t length = (uint64_t)f->pairs * f->channels;
-  for (uint64_t first = 0; first < v->count; first += SOLVE_TOGETHER) {
-    const uint32_t count = v->count - first < SOLVE_TOGETHER ? (uint32_t)(v->count - first) : SOLVE_TOGETHER;
+  for (uint64_t first = 0; first < v->count; first += CMF_SOLVE_TOGETHER) {
+    const uint32_t count =
+        v->count - first < CMF_SOLVE_TOGETHER ? (uint32_t)(v->count - first) : CMF_SOLVE_TOGETHER;
     solved batch = {v, texel, first, maps};
     BTF_TRY(btfi_cmf_hf_solve(f->host, f->ctx, f->hf, count, f->channels, f->collected + first * length,
                               length, f->floor, maps, (uint64_t)f->factors * f->map_values));
@@ -186,7 +185,8 @@ btf_status btfi_cmf_factor_texels(btfi_cmf_fitting *f, uint32_t level, const btf
     return f->host->visit_abrdfs(f->ctx, f->ds, level, btfi_cmf_left(f), visit_texel, &v, f->job, from, to,
                                  "factoring");
   uint64_t *texel = f->host->alloc(f->ctx, f->collect, sizeof *texel);
-  float *maps = f->host->alloc(f->ctx, SOLVE_TOGETHER, (uint64_t)f->factors * f->map_values * sizeof *maps);
+  float *maps =
+      f->host->alloc(f->ctx, CMF_SOLVE_TOGETHER, (uint64_t)f->factors * f->map_values * sizeof *maps);
   btf_status status = texel != NULL && maps != NULL ? BTF_OK : BTF_E_NOMEM;
   if (status == BTF_OK) status = solve_texels(&v, texel, maps, from, to);
   f->host->free(f->ctx, texel);

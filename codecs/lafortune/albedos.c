@@ -2,6 +2,7 @@
 /* albedos.c: non-negative least squares of a handful of unknowns from their normal equations. */
 #include "lafortune.h"
 
+#include <math.h>
 #include <string.h>
 
 /* A column of whose squared norm the others leave less than this depends on them: sums of products of floats
@@ -29,7 +30,7 @@ static void solve_chosen(uint32_t n, const double *gram, size_t ld, const double
       chosen[i] = false;
       continue;
     }
-    l[i][i] = __builtin_sqrt(pivot);
+    l[i][i] = sqrt(pivot);
     double sum = h[i * h_stride];
     for (uint32_t k = 0; k < i; k++)
       if (chosen[k]) sum -= l[i][k] * x[k];

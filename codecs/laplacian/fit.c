@@ -73,12 +73,25 @@ static void read_image(void *user, const btfi_laplacian_source *s, uint64_t pair
   }
 }
 
-static void free_reading(btfi_laplacian_fitting *f, reading *r) {
-  for (uint32_t b = 0; b < r->bands; b++) f->host->free(f->ctx, r->band[b].data);
+/* Bytes of what the first reading measures. */
+static uint64_t survey_bytes(const btfi_laplacian_fitting *f, const btf_options *options) {
+  const uint64_t bins = (uint64_t)f->host->thread_count(f->ctx) * HISTOGRAM;
+  return f->source.pairs * (4 + 3 * (uint64_t)f->head.levels) * sizeof(double) +
+         (f->host->option(options, "psnr") > 0.0 ? bins * sizeof(uint64_t) : 0);
+}
+
+static void free_survey(btfi_laplacian_fitting *f, reading *r) {
   f->host->free(f->ctx, r->mean);
   f->host->free(f->ctx, r->squared_means);
   f->host->free(f->ctx, r->energy);
   f->host->free(f->ctx, r->histogram);
+  r->mean = r->squared_means = r->energy = NULL;
+  r->histogram = NULL;
+}
+
+static void free_reading(btfi_laplacian_fitting *f, reading *r) {
+  for (uint32_t b = 0; b < r->bands; b++) f->host->free(f->ctx, r->band[b].data);
+  free_survey(f, r);
 }
 
 /* ---- what the first reading tells ---- */
@@ -267,7 +280,8 @@ typedef struct plan {
   uint32_t rank[MOST_BANDS];
   uint64_t bytes[MOST_BANDS];
   uint32_t bands;
-  uint64_t room, budget; /* for bands in memory; for all but the buffers of images */
+  uint64_t kept;         /* the factors of all bands, those of one more, which the library makes, and means */
+  uint64_t room, budget; /* for bands in memory; for all but what is kept and the buffers of images */
   double accuracy, end;  /* fraction of the fit when all bands are done */
 } plan;
 
@@ -281,20 +295,32 @@ static uint32_t most_components(const btfi_laplacian_fitting *f, const btf_optio
   return f->has_target || (f->adaptive && most > fixed) ? most : fixed;
 }
 
-static void make_plan(const btfi_laplacian_fitting *f, const btf_options *options, plan *p) {
+/* False if the working set does not hold what the plan keeps and the first reading measures. */
+static bool make_plan(const btfi_laplacian_fitting *f, const btf_options *options, plan *p) {
+  const uint64_t pairs = f->source.pairs, working_set = f->job->max_working_set;
+  uint64_t largest = 0;
   p->bands = 0;
+  p->kept = 3 * pairs * sizeof *f->mean;
   for (uint32_t k = f->head.levels; k-- > 0;)
     for (uint32_t c = 0; c < 3; c++) {
       p->rank[p->bands] = most_components(f, options, c);
       p->band[p->bands] = (btfi_laplacian_band){k, c, NULL};
-      p->bytes[p->bands] =
-          f->source.pairs * f->source.grid.width[k] * f->source.grid.height[k] * (uint64_t)sizeof(float);
+      const uint64_t texels = (uint64_t)f->source.grid.width[k] * f->source.grid.height[k];
+      p->bytes[p->bands] = pairs * texels * sizeof(float);
+      const uint64_t most = pairs < texels ? pairs : texels;
+      const uint64_t rank = p->rank[p->bands] < most ? p->rank[p->bands] : most;
+      const uint64_t factors = rank * ((pairs + texels + 1) * sizeof(float) + sizeof(double));
+      p->kept += factors;
+      if (factors > largest) largest = factors;
       p->bands += p->rank[p->bands] > 0;
     }
-  p->budget = f->job->max_working_set - f->source.buffers;
+  p->kept += largest;
+  const uint64_t taken = p->kept + f->source.buffers;
+  p->budget = taken < working_set ? working_set - taken : 0;
   p->room = p->budget / 5 * 2;
   p->accuracy = f->host->option(options, "accuracy");
   p->end = f->has_target || f->adaptive ? 0.75 : 0.95;
+  return survey_bytes(f, options) <= p->budget - p->room;
 }
 
 /* One reading and the decomposition of what it kept: bands first .. last - 1, which may be none. */
@@ -336,6 +362,7 @@ static btf_status read_and_decompose(btfi_laplacian_fitting *f, const btf_datase
   if (status == BTF_OK)
     status = btfi_laplacian_each_image(&f->source, f->job, from, middle, "reading", read_image, r);
   if (status == BTF_OK && survey) status = learn(f, desc, options, r);
+  free_survey(f, r);
   for (uint32_t b = 0; b < r->bands && status == BTF_OK; b++)
     status = decompose(f, &r->band[b], p->rank[first + b], p->accuracy, p->budget - bytes,
                        middle + (to - middle) * b / r->bands, middle + (to - middle) * (b + 1) / r->bands);
@@ -345,26 +372,24 @@ static btf_status read_and_decompose(btfi_laplacian_fitting *f, const btf_datase
 }
 
 static btf_status decompose_all(btfi_laplacian_fitting *f, const btf_dataset_desc *desc,
-                                const btf_options *options) {
-  plan p;
+                                const btf_options *options, const plan *p) {
   bool survey = true;
   uint32_t b = 0, large = 0;
-  make_plan(f, options, &p);
-  for (uint32_t i = 0; i < p.bands; i++) large += p.bytes[i] > p.room;
+  for (uint32_t i = 0; i < p->bands; i++) large += p->bytes[i] > p->room;
   /* The first reading counts as much as a large band. */
-  const double step = p.end / (1.0 + large + (p.bands - large) * 0.05);
+  const double step = p->end / (1.0 + large + (p->bands - large) * 0.05);
   double done = 0.0;
-  while (survey || b < p.bands) {
+  while (survey || b < p->bands) {
     uint32_t last = b;
     uint64_t bytes = 0;
-    while (last < p.bands && p.bytes[last] <= p.room - bytes) bytes += p.bytes[last++];
-    const double next = fmin(p.end, done + step * ((survey ? 1.0 : 0.0) + (last - b) * 0.05));
-    if (survey || last > b) BTF_TRY(read_and_decompose(f, desc, options, &p, b, last, survey, done, next));
+    while (last < p->bands && p->bytes[last] <= p->room - bytes) bytes += p->bytes[last++];
+    const double next = fmin(p->end, done + step * ((survey ? 1.0 : 0.0) + (last - b) * 0.05));
+    if (survey || last > b) BTF_TRY(read_and_decompose(f, desc, options, p, b, last, survey, done, next));
     survey = false;
     done = next;
-    for (b = last; b < p.bands && p.bytes[b] > p.room; b++) {
-      BTF_TRY(decompose(f, &p.band[b], p.rank[b], p.accuracy, p.budget, done, fmin(p.end, done + step)));
-      done = fmin(p.end, done + step);
+    for (b = last; b < p->bands && p->bytes[b] > p->room; b++) {
+      BTF_TRY(decompose(f, &p->band[b], p->rank[b], p->accuracy, p->budget, done, fmin(p->end, done + step)));
+      done = fmin(p->end, done + step);
     }
   }
   return BTF_OK;
@@ -380,11 +405,13 @@ static uint32_t stop_level(const btf_dataset_desc *desc, uint32_t components, ui
   return levels;
 }
 
-/* Fails with a working set that is enough for all that follows. Images take a quarter of it at most, bands in
- * memory two fifths of the rest: 9/20 are left for a decomposition, of which that of level 0 with the most
- * components needs the most. */
-static btf_status working_set_too_small(btfi_laplacian_fitting *f, const btf_options *options) {
-  uint64_t least = f->source.least_working_set;
+/* Fails with a working set that is enough for all that follows. Images take a quarter of it at most, and of
+ * what else is not kept bands in memory take two fifths: 9/20 less three fifths of what is kept are left for
+ * the first reading and for decompositions, of which that of level 0 with the most components needs the
+ * most. */
+static btf_status working_set_too_small(btfi_laplacian_fitting *f, const btf_options *options,
+                                        const plan *p) {
+  uint64_t needed = survey_bytes(f, options);
   uint32_t rank = 0;
   for (uint32_t c = 0; c < 3; c++)
     if (rank < most_components(f, options, c)) rank = most_components(f, options, c);
@@ -392,10 +419,11 @@ static btf_status working_set_too_small(btfi_laplacian_fitting *f, const btf_opt
     const btfi_laplacian_band finest = {0, LAPLACIAN_Y, NULL};
     const double accuracy = f->host->option(options, "accuracy");
     const btf_status asked = decompose(f, &finest, rank, accuracy, 1, 0.0, 0.0); /* a byte is never enough */
-    if (asked != BTF_E_LIMIT || f->least_for_band == 0 || f->least_for_band > UINT64_MAX / 20) return asked;
-    const uint64_t for_bands = (f->least_for_band * 20 + 8) / 9 + 4;
-    if (least < for_bands) least = for_bands;
+    if (asked != BTF_E_LIMIT || f->least_for_band == 0 || f->least_for_band > UINT64_MAX / 40) return asked;
+    if (f->least_for_band > needed) needed = f->least_for_band;
   }
+  uint64_t least = (needed * 20 + p->kept * 12 + 8) / 9 + 4;
+  if (least < f->source.least_working_set) least = f->source.least_working_set;
   return f->host->fail(f->ctx, BTF_E_LIMIT,
                        "laplacian: a working set of %llu bytes is too small for this data set; %llu would do",
                        (unsigned long long)f->job->max_working_set, (unsigned long long)least);
@@ -423,13 +451,15 @@ static btf_status fit_all(btfi_laplacian_fitting *f, const btf_dataset *ds, cons
       btfi_laplacian_grid_of(f->head.filter, desc.wrap, f->head.levels, desc.width, desc.height);
   btf_status status =
       btfi_laplacian_source_open(host, f->ctx, ds, &desc, &grid, f->job->max_working_set, &f->source);
-  if (status == BTF_E_LIMIT) return working_set_too_small(f, options);
+  plan p;
+  const bool fits = make_plan(f, options, &p);
+  if (status == BTF_E_LIMIT || (status == BTF_OK && !fits)) return working_set_too_small(f, options, &p);
   BTF_TRY(status);
   f->mean = host->alloc(f->ctx, 3 * f->source.pairs, sizeof *f->mean);
   if (f->mean == NULL) return BTF_E_NOMEM;
   f->head.squared_error = -1.0;
-  status = decompose_all(f, &desc, options);
-  if (status == BTF_E_LIMIT && f->least_for_band > 0) return working_set_too_small(f, options);
+  status = decompose_all(f, &desc, options, &p);
+  if (status == BTF_E_LIMIT && f->least_for_band > 0) return working_set_too_small(f, options, &p);
   BTF_TRY(status);
   for (uint32_t k = 0; k < f->head.levels; k++)
     for (uint32_t c = 0; c < 3; c++) {

@@ -11,13 +11,18 @@ enum { MOST_BLOCK = 4096, LEAST_BLOCK = 8, MOST_PRODUCTS = 4 << 20, TASK_POINTS 
 
 /* ---- room ---- */
 
-static void *need(btfi_lpca_model *m, bool *ok, uint64_t count, uint64_t size) {
+/* Allocates, or with `bytes` only counts. */
+static void *need(btfi_lpca_model *m, uint64_t *bytes, bool *ok, uint64_t count, uint64_t size) {
+  if (bytes != NULL) {
+    *bytes += count * size;
+    return NULL;
+  }
   void *room = *ok ? m->host->alloc(m->ctx, count, size) : NULL;
   *ok = room != NULL;
   return room;
 }
 
-btf_status btfi_lpca_model_alloc(btfi_lpca_model *m, uint64_t max_working_set) {
+static bool make_rooms(btfi_lpca_model *m, uint64_t max_working_set, uint64_t *bytes) {
   const uint64_t clusters = m->room > m->clusters ? m->room : m->clusters;
   const uint64_t rows = clusters * (m->most_components + 1);
   const uint64_t square = (uint64_t)m->size * m->size;
@@ -28,25 +33,39 @@ btf_status btfi_lpca_model_alloc(btfi_lpca_model *m, uint64_t max_working_set) {
   m->block = (uint32_t)(block < m->count ? block : m->count);
   m->threads = m->host->thread_count(m->ctx);
   m->gather_size = (uint64_t)m->size * (m->size > GATHER_RUN ? m->size : GATHER_RUN);
-  m->basis = need(m, &ok, rows * m->size, sizeof *m->basis);
-  m->mean_dot = need(m, &ok, rows, sizeof *m->mean_dot);
-  m->values = need(m, &ok, clusters * LPCA_MAX_COMPONENTS, sizeof *m->values);
-  m->trace = need(m, &ok, clusters, sizeof *m->trace);
-  m->cost = need(m, &ok, clusters, sizeof *m->cost);
-  m->start = need(m, &ok, clusters + 1, sizeof *m->start);
-  m->order = need(m, &ok, m->count, sizeof *m->order);
-  m->label = need(m, &ok, m->count, sizeof *m->label);
-  m->second = need(m, &ok, m->count, sizeof *m->second);
-  m->error = need(m, &ok, m->count, sizeof *m->error);
-  m->second_error = need(m, &ok, m->count, sizeof *m->second_error);
-  m->square = need(m, &ok, m->count, sizeof *m->square);
-  m->products = need(m, &ok, rows * m->block, sizeof *m->products);
-  m->gathered = need(m, &ok, m->threads * m->gather_size, sizeof *m->gathered);
-  m->matrix = need(m, &ok, m->threads * square, sizeof *m->matrix);
-  m->eigen = need(m, &ok, (uint64_t)m->threads * m->size, sizeof *m->eigen);
-  m->direction = need(m, &ok, m->size, sizeof *m->direction);
-  m->failed = need(m, &ok, m->threads, sizeof *m->failed);
-  return ok ? BTF_OK : BTF_E_NOMEM;
+  m->basis = need(m, bytes, &ok, rows * m->size, sizeof *m->basis);
+  m->mean_dot = need(m, bytes, &ok, rows, sizeof *m->mean_dot);
+  m->values = need(m, bytes, &ok, clusters * LPCA_MAX_COMPONENTS, sizeof *m->values);
+  m->trace = need(m, bytes, &ok, clusters, sizeof *m->trace);
+  m->cost = need(m, bytes, &ok, clusters, sizeof *m->cost);
+  m->start = need(m, bytes, &ok, clusters + 1, sizeof *m->start);
+  m->order = need(m, bytes, &ok, m->count, sizeof *m->order);
+  m->label = need(m, bytes, &ok, m->count, sizeof *m->label);
+  m->second = need(m, bytes, &ok, m->count, sizeof *m->second);
+  m->error = need(m, bytes, &ok, m->count, sizeof *m->error);
+  m->second_error = need(m, bytes, &ok, m->count, sizeof *m->second_error);
+  m->square = need(m, bytes, &ok, m->count, sizeof *m->square);
+  m->products = need(m, bytes, &ok, rows * m->block, sizeof *m->products);
+  m->gathered = need(m, bytes, &ok, m->threads * m->gather_size, sizeof *m->gathered);
+  m->matrix = need(m, bytes, &ok, m->threads * square, sizeof *m->matrix);
+  m->eigen = need(m, bytes, &ok, (uint64_t)m->threads * m->size, sizeof *m->eigen);
+  m->direction = need(m, bytes, &ok, m->size, sizeof *m->direction);
+  m->failed = need(m, bytes, &ok, m->threads, sizeof *m->failed);
+  return ok;
+}
+
+uint64_t btfi_lpca_model_bytes(const btfi_lpca_model *m, uint64_t max_working_set) {
+  btfi_lpca_model counted = *m;
+  uint64_t bytes = 0;
+  (void)make_rooms(&counted, max_working_set, &bytes);
+  /* Eigenvectors: LAPACK works in twice the matrix and a dozen of its rows, for each thread. Splits list the
+   * members of two clusters and know three numbers of each. */
+  bytes += counted.threads * (2 * (uint64_t)m->size + 12) * (m->size + 1) * sizeof(double);
+  return bytes + m->count * sizeof(uint32_t) + 3 * sizeof(double) * m->clusters;
+}
+
+btf_status btfi_lpca_model_alloc(btfi_lpca_model *m, uint64_t max_working_set) {
+  return make_rooms(m, max_working_set, NULL) ? BTF_OK : BTF_E_NOMEM;
 }
 
 void btfi_lpca_model_free(btfi_lpca_model *m) {

@@ -66,6 +66,26 @@ static uint64_t dimension_bytes(const fitting *f) {
   return sizeof(float) * (f->texels + coarse + f->rows);
 }
 
+/* What clustering in a subspace of `size` dimensions holds until the payload is written. */
+static uint64_t clustering_bytes(const fitting *f, uint64_t size, uint64_t budget) {
+  const btfi_lpca_layout *layout = &f->out.layout;
+  const uint64_t coarse = btfi_lpca_coarse_texels(f->shape.width, f->shape.height, layout->levels);
+  const uint32_t room = f->clusters + btfi_lpca_coarse_most(f->clusters);
+  const uint32_t components = f->components < size ? f->components : (uint32_t)size;
+  const btfi_lpca_model model = {.host = f->host,
+                                 .ctx = f->ctx,
+                                 .count = f->texels,
+                                 .size = (uint32_t)size,
+                                 .clusters = f->clusters,
+                                 .room = room,
+                                 .most_components = components};
+  /* Labels and weights of all levels, and the best labels of restarts. */
+  const uint64_t levels = (f->texels + coarse) * (1 + components) * sizeof(float) + f->texels * sizeof(float);
+  return size * sizeof(float) * (f->texels + f->rows) + btfi_lpca_model_bytes(&model, budget) +
+         btfi_lpca_coarse_bytes(f->shape.width, f->shape.height, layout->levels, (uint32_t)size) + levels +
+         btfi_lpca_write_bytes(f->rows, room, components, (uint32_t)size) + 3 * sizeof(double) * size;
+}
+
 /* Names a budget that does. Beside its result, a decomposition holds no more than panels of less than
  * 4 (size + size / 4 + 32) columns and two blocks of 32 vectors along the longer side of the matrix, and
  * small matrices of that many columns. */
@@ -73,10 +93,12 @@ static btf_status too_small(const fitting *f, uint64_t size) {
   const uint64_t columns = size + size / 4 + 32, longer = (f->rows > f->texels ? f->rows : f->texels) + 64;
   const uint64_t working =
       sizeof(float) * longer * (4 * columns + 80) + sizeof(double) * columns * (SMALL_COLUMNS + 16 * columns);
-  const uint64_t result = size * dimension_bytes(f);
-  return f->host->fail(
-      f->ctx, BTF_E_LIMIT, "lpca: a subspace of %llu dimensions needs a working set of %llu MiB",
-      (unsigned long long)size, (unsigned long long)(2 * (result > working ? result : working) >> 20) + 1);
+  /* A larger budget lets an eighth of it be taken for larger blocks. */
+  const uint64_t clustering = clustering_bytes(f, size, 0);
+  return f->host->fail(f->ctx, BTF_E_LIMIT,
+                       "lpca: a subspace of %llu dimensions needs a working set of %llu MiB",
+                       (unsigned long long)size,
+                       (unsigned long long)(2 * (clustering > working ? clustering : working) >> 20) + 1);
 }
 
 /* Dimensions that the components of clusters cannot do without. */
@@ -84,7 +106,8 @@ static uint64_t least_subspace(const fitting *f, uint64_t most) {
   return f->components + 8u < most ? f->components + 8u : most;
 }
 
-/* The subspace that is asked for, or what a quarter of the budget holds of the default one. */
+/* The subspace that is asked for, or of the default one what a quarter of the budget holds and all of it can
+ * cluster. */
 static btf_status choose_subspace(fitting *f) {
   const btf_host *host = f->host;
   const uint64_t most = f->rows < f->texels ? f->rows : f->texels, budget = f->job->max_working_set;
@@ -99,8 +122,9 @@ static btf_status choose_subspace(fitting *f) {
     const uint64_t least = least_subspace(f, size);
     const uint64_t fits = budget / 4 / dimension_bytes(f);
     size = fits < least ? least : fits < size ? fits : size;
+    while (size > least && clustering_bytes(f, size, budget) > budget) size--;
   }
-  if (size * dimension_bytes(f) > budget) return too_small(f, size);
+  if (clustering_bytes(f, size, budget) > budget) return too_small(f, size);
   f->subspace = (uint32_t)size;
   return BTF_OK;
 }
@@ -175,7 +199,7 @@ static btf_status find_coefficients(fitting *f, double from, double to) {
     const btf_svd_desc desc = {.struct_size = sizeof desc,
                                .rank = f->subspace,
                                .tolerance = SVD_TOLERANCE,
-                               .max_working_set = result < budget / 2 ? budget - result : budget / 2,
+                               .max_working_set = budget - result,
                                .seed = f->job->seed};
     f->svd.struct_size = sizeof f->svd;
     const btf_status status = host->svd_dataset(f->ctx, f->ds, NULL, &desc, f->job, from, to, &f->svd);
@@ -384,8 +408,9 @@ static btf_status fit_all(fitting *f) {
   }
   BTF_TRY(find_coefficients(f, done, 0.5));
   BTF_TRY(find_clusters(f, 0.5, 0.8));
+  const uint64_t budget = f->job->max_working_set, held = clustering_bytes(f, f->model.size, budget);
   BTF_TRY(btfi_lpca_refine(&f->out, &f->model, f->ds, (uint32_t)host->option(f->options, "refine"),
-                           f->job->max_working_set, 0.8, 0.9));
+                           held < budget / 2 ? budget / 2 : budget - held, 0.8, 0.9));
   BTF_TRY(find_levels(f, 0.9));
   BTF_TRY(host->progress(f->job, 0.94, "storing"));
   f->out.head.storage = f->out.layout.storage;

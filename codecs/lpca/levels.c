@@ -10,7 +10,7 @@
 #include <btf/btf_sampling.h>
 
 /* Of the clusters, at most this part is taken from the finest level. */
-enum { SHARE = 8, ROUNDS = 20 };
+enum { SHARE = 8, ROUNDS = 20, MOST_STARTS = LPCA_MAX_CLUSTERS + LPCA_MAX_CLUSTERS / SHARE + 1 };
 #define LEAST_GAIN 1e-2
 /* Of the finest level's clusters after some are given up: finer than at first, which makes up for most of the
  * loss. */
@@ -32,6 +32,11 @@ uint64_t btfi_lpca_coarse_texels(uint32_t width, uint32_t height, uint32_t level
   return count;
 }
 
+uint64_t btfi_lpca_coarse_bytes(uint32_t width, uint32_t height, uint32_t levels, uint32_t size) {
+  const uint64_t count = btfi_lpca_coarse_texels(width, height, levels);
+  return count * (size * sizeof(float) + sizeof(uint32_t)) + MOST_STARTS * sizeof(uint64_t);
+}
+
 uint32_t btfi_lpca_coarse_most(uint32_t clusters) {
   return clusters < 2 ? 0 : clusters < SHARE ? 1 : clusters / SHARE;
 }
@@ -45,8 +50,7 @@ btf_status btfi_lpca_coarse_make(btfi_lpca_coarse *c, const btfi_lpca_model *m, 
   if (c->count == 0) return BTF_OK;
   c->points = m->host->alloc(m->ctx, c->count, m->size * sizeof *c->points);
   c->label = m->host->alloc(m->ctx, c->count, sizeof *c->label);
-  c->start =
-      m->host->alloc(m->ctx, (uint64_t)LPCA_MAX_CLUSTERS + LPCA_MAX_CLUSTERS / SHARE + 1, sizeof *c->start);
+  c->start = m->host->alloc(m->ctx, MOST_STARTS, sizeof *c->start);
   if (c->points == NULL || c->label == NULL || c->start == NULL) return BTF_E_NOMEM;
   float *points = c->points;
   for (uint32_t level = 1; level < levels; level++) {

@@ -102,6 +102,9 @@ typedef struct btfi_lpca_model {
  */
 btf_status btfi_lpca_model_alloc(btfi_lpca_model *m, uint64_t max_working_set);
 void btfi_lpca_model_free(btfi_lpca_model *m);
+/* What that allocates and fits hold for a while, of a model of which only count, size, clusters, room,
+ * most_components and the host are known. */
+uint64_t btfi_lpca_model_bytes(const btfi_lpca_model *m, uint64_t max_working_set);
 /* Labels as of k-means++: means are points drawn by their squared distance from the means before, each the
  * best of a few draws. */
 btf_status btfi_lpca_seed(btfi_lpca_model *m, uint64_t *random, double from, double to);
@@ -138,6 +141,7 @@ typedef struct btfi_lpca_coarse {
 } btfi_lpca_coarse;
 
 uint64_t btfi_lpca_coarse_texels(uint32_t width, uint32_t height, uint32_t levels);
+uint64_t btfi_lpca_coarse_bytes(uint32_t width, uint32_t height, uint32_t levels, uint32_t size);
 /* The most clusters that the finest level gives up, of so many. */
 uint32_t btfi_lpca_coarse_most(uint32_t clusters);
 /* Averages of the points of the model. After a failure, too, it must be freed. */
@@ -189,13 +193,15 @@ typedef struct btfi_lpca_writing {
 } btfi_lpca_writing;
 
 /* Replaces bases and the weights of the finest level by better ones in `passes` readings of the data, and the
- * bases of the model by their part in the subspace. Needs memory for all bases twice; without it, everything
- * stays. */
+ * bases of the model by their part in the subspace. Needs memory for all bases twice, of `room` bytes;
+ * without it, everything stays. */
 btf_status btfi_lpca_refine(btfi_lpca_writing *w, btfi_lpca_model *m, const btf_dataset *ds, uint32_t passes,
-                            uint64_t max_working_set, double from, double to);
+                            uint64_t room, double from, double to);
 /* Rounds everything: the squared error of storage and, with `tables`, the payload, whose head gains that
  * error. */
 btf_status btfi_lpca_write(btfi_lpca_writing *w, bool tables);
+/* What that needs beside the payload, for so many rows of an ABRDF. */
+uint64_t btfi_lpca_write_bytes(uint64_t rows, uint32_t clusters, uint32_t components, uint32_t size);
 
 btf_status btfi_lpca_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
                          const btf_options *options, const btf_job *job, btf_chunk_writer *payload);

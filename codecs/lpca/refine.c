@@ -48,11 +48,9 @@ static btf_status read_block(const refinement *r, const btf_block *block) {
 static btf_status take_members(refinement *r, uint32_t k, const uint32_t *texel, uint32_t count,
                                bool project) {
   const uint32_t columns = r->columns, components = columns - 1;
-  const btfi_lpca_layout *l = &r->w->layout;
   const float *basis = r->w->refined + (uint64_t)k * columns * r->rows;
   float *weights = r->w->level[0].weights;
   double *moments = r->moments + (size_t)k * columns * columns;
-  (void)l;
   if (project)
     BTF_TRY(r->host->gemm(r->ctx, BTF_TRANSPOSE_B, count, columns, r->rows, 1.0f, r->gathered, r->rows, basis,
                           r->rows, 0.0f, r->products, columns));
@@ -268,19 +266,19 @@ static btf_status passes(refinement *r, uint32_t count, double from, double to) 
 }
 
 btf_status btfi_lpca_refine(btfi_lpca_writing *w, btfi_lpca_model *m, const btf_dataset *ds, uint32_t count,
-                            uint64_t max_working_set, double from, double to) {
+                            uint64_t room, double from, double to) {
   const btf_host *host = w->host;
   const btfi_lpca_layout *l = &w->layout;
   refinement r = {.w = w, .ds = ds, .host = host, .ctx = w->ctx, .columns = l->components + 1};
   r.rows = (uint64_t)l->views * l->lights * l->channels;
   const uint64_t tables = 2 * sizeof(float) * r.rows * r.columns * l->clusters;
   const uint64_t texel = 2 * sizeof(float) * (r.rows + r.columns) + sizeof(uint32_t);
-  if (count == 0 || tables + texel > max_working_set / 2) {
+  if (count == 0 || tables + texel > room) {
     if (count > 0)
       host->log(w->ctx, BTF_LOG_WARNING, "lpca: too little memory to refine the clusters on the data");
     return BTF_OK;
   }
-  uint64_t texels = (max_working_set / 2 - tables) / texel;
+  uint64_t texels = (room - tables) / texel;
   const uint64_t most = ((uint64_t)64 << 20) / texel + 1;
   if (texels > most) texels = most;
   r.width = texels < l->width ? (uint32_t)texels : l->width;

@@ -201,6 +201,12 @@ static btf_status write_all(btfi_lpca_writing *w, bool tables, double *energy, l
   return write_scales(w);
 }
 
+uint64_t btfi_lpca_write_bytes(uint64_t rows, uint32_t clusters, uint32_t components, uint32_t size) {
+  const uint64_t columns = (uint64_t)components + 1;
+  return (rows + size) * columns * sizeof(float) + clusters * columns * (sizeof(double) + 2 * sizeof(float)) +
+         sizeof(lifting);
+}
+
 btf_status btfi_lpca_write(btfi_lpca_writing *w, bool tables) {
   const uint64_t columns = (uint64_t)w->layout.components + 1, clusters = w->layout.clusters;
   const uint64_t rows = (uint64_t)w->layout.views * w->layout.lights * w->layout.channels;
