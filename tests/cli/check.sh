@@ -37,7 +37,7 @@ END
   expect "a cosine that is declared" 0 '"problems": ?]'
   spoil outside brdf_cos 'pass'
   expect "a cosine that is declared and not there" 0 '"problems": ?"cosine_outside"?'
-  spoil nan brdf 's[at(4, 5, 6, 7, 1)] = float("nan")'
+  spoil undefined brdf 's[at(4, 5, 6, 7, 1)] = float("nan")'
   expect "NaN" 0 '"problems": ?"not_finite"?'
   expect "the place of NaN" 0 '"not_finite": {"count": 3, "x": 7, "y": 6, "light": 5, "view": 4}'
   spoil negative brdf 's[at(1, 2, 3, 4, 2)] = -1'
