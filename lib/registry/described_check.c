@@ -116,6 +116,7 @@ btf_status btfi_params_copy(btfi_params *params, const btf_param_desc *const *li
   while (list != NULL && list[count] != NULL)
     if (++count > 1024)
       return btfi_fail(params->ctx, BTF_E_PLUGIN, "%s: more than 1024 parameters", params->owner);
+  if (count == 0) return BTF_OK;
   params->list = btfi_calloc(params->ctx, count, sizeof *params->list);
   if (params->list == NULL) return btfi_alloc_status();
   params->count = count;
