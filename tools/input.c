@@ -49,12 +49,18 @@ static btf_status open_measured(btf_context *ctx, const char *path, input *out) 
   return status == BTF_OK ? btf_format_open(ctx, path, out->format, NULL, &out->dataset) : status;
 }
 
+/* Containers first: they are what is opened most, and known by their first bytes. */
 static btf_status open_any(btf_context *ctx, const char *path, bool is_folder, input *out) {
-  btf_status status = open_measured(ctx, path, out);
+  char message[512];
+  btf_status status = is_folder ? BTF_E_NOT_BTF : btf_file_open_path(ctx, path, 0, &out->file);
+  if (status != BTF_E_NOT_BTF) return status;
+  snprintf(message, sizeof message, "%s", btf_error_message());
+  status = open_measured(ctx, path, out);
   if (status != BTF_E_NOT_BTF || out->format != NULL) return status;
-  /* Whoever expected a container or a folder of ours is told what is wrong with it as that. */
+  /* Of what is nothing that is known, the message says what it is not, as a folder of ours or as a container.
+   */
   if (is_folder) return btf_dataset_open(ctx, path, &out->dataset);
-  return btf_file_open_path(ctx, path, 0, &out->file);
+  return btf_source_error(status, "%s", message);
 }
 
 int input_open(cli *c, const char *path, input *out) {

@@ -101,9 +101,14 @@ static uint64_t count_unknowns(const btfi_cmf_fitting *f) {
   return f->factors * count;
 }
 
+/* Four taps of each factor's map for each pair. */
 static uint64_t tap_bytes(const btfi_cmf_fitting *f) {
-  return (uint64_t)f->pairs * f->factors * 4 * (sizeof(uint32_t) + sizeof(float)) +
-         (uint64_t)f->factors * f->geometry->map_texels;
+  return (uint64_t)f->pairs * f->factors * 4 * (sizeof(uint32_t) + sizeof(float));
+}
+
+/* What the method is made from: the taps, and which texels of the maps are unknowns. */
+static uint64_t source_bytes(const btfi_cmf_fitting *f) {
+  return tap_bytes(f) + (uint64_t)f->factors * f->geometry->map_texels;
 }
 
 /* Bytes of an ABRDF that waits for the others, with its place. */
@@ -116,9 +121,8 @@ static uint64_t collected_bytes(const btfi_cmf_fitting *f) {
 static uint64_t hf_bytes(const btfi_cmf_fitting *f, bool making) {
   const uint64_t n = count_unknowns(f);
   const uint64_t kept = 8 * n * n + 8 * n + 4 * (uint64_t)f->pairs +
-                        4 * (uint64_t)f->factors * f->geometry->map_texels +
-                        (uint64_t)f->pairs * f->factors * 4 * (sizeof(uint32_t) + sizeof(float));
-  if (making) return kept + 8 * n * n + 12 * n + tap_bytes(f);
+                        4 * (uint64_t)f->factors * f->geometry->map_texels + tap_bytes(f);
+  if (making) return kept + 8 * n * n + 12 * n + source_bytes(f);
   const uint64_t solving = btfi_cmf_hf_solve_bytes(f->host, f->ctx, n, CMF_SOLVE_TOGETHER, f->channels);
   return kept + solving + CMF_SOLVE_TOGETHER * (uint64_t)f->factors * f->map_values * sizeof(float);
 }
@@ -151,7 +155,7 @@ static btf_status create_hf(btfi_cmf_fitting *f, uint64_t rest) {
   hf.weight = weight;
   hf.use_texel = use_texel;
   if (status == BTF_OK)
-    status = btfi_cmf_hf_create(f->host, f->ctx, &hf, f->lambda, btfi_cmf_left(f) - tap_bytes(f), &f->hf);
+    status = btfi_cmf_hf_create(f->host, f->ctx, &hf, f->lambda, btfi_cmf_left(f) - source_bytes(f), &f->hf);
   f->host->free(f->ctx, texel);
   f->host->free(f->ctx, weight);
   f->host->free(f->ctx, use_texel);

@@ -11,7 +11,6 @@ typedef enum bonn_family { BONN_DFMF, BONN_FMF, BONN_PVF, BONN_BDI } bonn_family
  */
 typedef struct bonn_side {
   const unsigned char *rows;
-  uint64_t count;            /* of rows */
   const unsigned char *mean; /* one scalar for each row, added to what is made of it; NULL = none */
 } bonn_side;
 
@@ -35,7 +34,7 @@ typedef struct bonn_file {
   bonn_family family;
   uint32_t version;
   char setup[81], sensor[81], light_source[81];
-  float texels_per_mm, rgb_scale[3];
+  float texels_per_mm;
   uint32_t cosine;
   uint32_t channels;
   char **channel_names; /* NULL = R, G, B */

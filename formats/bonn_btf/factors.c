@@ -41,8 +41,8 @@ static btf_status read_matrix(bonn_file *bonn, cursor *c, uint32_t i, uint32_t c
   BTF_TRY(check_sizes(bonn, i, factor->scalar_size, factor->k, rows, columns));
   const uint64_t row_bytes = (uint64_t)factor->k * factor->scalar_size;
   cursor_take(c, 1, row_bytes); /* singular values, which the right side has in it */
-  const bonn_side left = {cursor_take(c, rows, row_bytes), rows, NULL};
-  const bonn_side right = {cursor_take(c, columns, row_bytes), columns, NULL};
+  const bonn_side left = {cursor_take(c, rows, row_bytes), NULL};
+  const bonn_side right = {cursor_take(c, columns, row_bytes), NULL};
   if (c->ended) return bonn_truncated(bonn, "a factorisation");
   factor->angular = normal ? left : right;
   factor->texel = normal ? right : left;
@@ -69,8 +69,8 @@ static btf_status read_view(bonn_file *bonn, cursor *c, uint32_t view) {
   const uint64_t size = factor->scalar_size;
   cursor_take(c, factor->k, size); /* eigenvalues */
   const unsigned char *mean = cursor_take(c, length, size);
-  const bonn_side long_side = {cursor_take(c, length, factor->k * size), length, mean};
-  const bonn_side short_side = {cursor_take(c, weights, factor->k * size), weights, NULL};
+  const bonn_side long_side = {cursor_take(c, length, factor->k * size), mean};
+  const bonn_side short_side = {cursor_take(c, weights, factor->k * size), NULL};
   if (c->ended) return bonn_truncated(bonn, "a factorisation");
   factor->angular = normal ? long_side : short_side;
   factor->texel = normal ? short_side : long_side;

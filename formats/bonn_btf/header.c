@@ -17,7 +17,7 @@ static const signature signatures[] = {{"!DFMF08FC", BONN_DFMF, false},
                                        {"!FMF06FC", BONN_FMF, false},
                                        {"!PVF06FC", BONN_PVF, false},
                                        {"!BDIF06R2!", BONN_BDI, false}};
-enum { LEGACY_PVF = 301074, META_BYTES_1 = 264, MOST_CHANNELS = 64, MOST_ANGLES = 65536 };
+enum { LEGACY_PVF = 301074, MOST_CHANNELS = 64, MOST_ANGLES = 65536 };
 /* Two lists of lights are the same within this angle in radians. */
 static const float same_angle = 1e-4f;
 
@@ -81,7 +81,7 @@ static btf_status read_meta(bonn_file *bonn, cursor *c) {
   copy_padded(bonn->sensor, cursor_take(c, 80, 1));
   copy_padded(bonn->light_source, cursor_take(c, 80, 1));
   bonn->texels_per_mm = cursor_f32(c);
-  for (int i = 0; i < 3; i++) bonn->rgb_scale[i] = cursor_f32(c);
+  cursor_take(c, 3, 4); /* scale factors of RGB, which no reader applies */
   bonn->channels = 3;
   if (bonn->version > 1) bonn->cosine = cursor_u32(c);
   if (bonn->version > 2) cursor_take(c, cursor_u32(c), 1); /* XML of the measurement */

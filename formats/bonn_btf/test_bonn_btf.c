@@ -1,17 +1,11 @@
 /* SPDX-License-Identifier: MIT */
 /* Bonn's containers: every family and variant against brute force, and damaged files. */
 #include "bonn_case.h"
-#include "btf_test.h"
+#include "../source/test_format.h"
 
 #include <unistd.h>
 
 #include <btf/btf_formats.h>
-
-static btf_context *context(test_memory *memory) {
-  btf_context *ctx = test_context(memory);
-  assert_ok(btf_formats_register(ctx));
-  return ctx;
-}
 
 static const char *write_case(const bonn_case *c) {
   const char *path = test_path("material.dat"); /* the name tells nothing */
@@ -74,7 +68,7 @@ static void test_variants(void **state) {
   for (size_t i = 0; i < bonn_case_count; i++) {
     const bonn_case *c = &bonn_cases[i];
     test_memory memory;
-    btf_context *ctx = context(&memory);
+    btf_context *ctx = format_context(&memory);
     const char *path = write_case(c);
     const btf_format *format;
     btf_dataset *ds;
@@ -104,7 +98,7 @@ static void test_variants(void **state) {
 static void test_cosine(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = write_case(&bonn_cases[0]);
   const btf_format *format = btf_format_find(ctx, "bonn-btf");
   btf_options *options;
@@ -126,20 +120,14 @@ static void test_truncation(void **state) {
   (void)state;
   for (size_t i = 0; i < bonn_case_count; i++) {
     test_memory memory;
-    btf_context *ctx = context(&memory);
+    btf_context *ctx = format_context(&memory);
     const char *path = test_path("short.dat");
     bonn_bytes bytes = bonn_case_write(&bonn_cases[i]);
     /* Shrinking one file is much faster than writing as many. */
     test_write_bytes(path, bytes.data, bytes.size);
     for (size_t size = bytes.size; size-- > 0;) {
-      btf_dataset *ds = NULL;
       assert_int_equal(truncate(path, (off_t)size), 0);
-      const btf_status status = btf_format_open(ctx, path, NULL, NULL, &ds);
-      if (status == BTF_OK)
-        fail_msg("%s: opened with %zu of %zu bytes", bonn_cases[i].label, size, bytes.size);
-      assert_true(status >= BTF_E_NOT_BTF && status < 40);
-      assert_null(ds);
-      assert_true(strlen(btf_error_message()) > 0 && strchr(btf_error_message(), '\n') == NULL);
+      format_expect_refusal(ctx, path, "bonn-btf");
     }
     free(bytes.data);
     test_context_done(ctx, &memory);
@@ -149,14 +137,13 @@ static void test_truncation(void **state) {
 static void test_trailing_bytes(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("long.dat");
   for (size_t i = 0; i < bonn_case_count; i++) {
     bonn_bytes bytes = bonn_case_write(&bonn_cases[i]);
-    btf_dataset *ds = NULL;
     bytes.data[bytes.size] = 0;
     test_write_bytes(path, bytes.data, bytes.size + 1);
-    assert_true(btf_format_open(ctx, path, NULL, NULL, &ds) != BTF_OK);
+    format_expect_refusal(ctx, path, "bonn-btf");
     free(bytes.data);
   }
   test_context_done(ctx, &memory);
@@ -186,7 +173,7 @@ static void test_counts(void **state) {
   size_t refused = 0;
   for (size_t i = 0; i < bonn_case_count; i++) {
     test_memory memory;
-    btf_context *ctx = context(&memory);
+    btf_context *ctx = format_context(&memory);
     const char *path = test_path("lie.dat");
     bonn_bytes bytes = bonn_case_write(&bonn_cases[i]);
     test_write_bytes(path, bytes.data, bytes.size);
@@ -210,7 +197,7 @@ static void test_counts(void **state) {
 static void test_refusals(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("odd.dat");
   btf_dataset *ds = NULL;
   bonn_case c = bonn_cases[7];
@@ -235,33 +222,11 @@ static void test_refusals(void **state) {
   test_context_done(ctx, &memory);
 }
 
-/* Each allocation fails once: a clean status and nothing left. */
 static void test_allocations(void **state) {
   (void)state;
   const size_t cases[] = {0, 8, 18, 22};
-  for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
-    const bonn_case *c = &bonn_cases[cases[k]];
-    const char *path = write_case(c);
-    test_memory memory;
-    btf_context *ctx = context(&memory);
-    for (long fail_at = 1;; fail_at++) {
-      float samples[64];
-      btf_dataset *ds = NULL;
-      const btf_block first = {0, 1, 0, 1, 0, 0, 1, 1};
-      const btf_strides strides = {.view = 256, .light = 256, .y = 256, .x = 256, .channel = 4};
-      memory.fail_at = memory.total_allocations + fail_at;
-      btf_status status = btf_format_open(ctx, path, NULL, NULL, &ds);
-      if (status == BTF_OK) status = btf_dataset_read(ds, &first, samples, &strides);
-      btf_dataset_release(ds);
-      if (status == BTF_OK) {
-        assert_true(fail_at > 5);
-        break;
-      }
-      assert_int_equal(status, BTF_E_NOMEM);
-    }
-    memory.fail_at = 0;
-    test_context_done(ctx, &memory);
-  }
+  for (size_t k = 0; k < sizeof cases / sizeof *cases; k++)
+    format_check_allocations(write_case(&bonn_cases[cases[k]]), "bonn-btf", 5);
 }
 
 int main(void) {

@@ -119,7 +119,7 @@ static void test_bins(void **state) {
   one_texel_check_all(path, "merl", NULL, BTF_QUANTITY_BRDF, check_nearest);
   one_texel_check_all(path, "merl", nearest, BTF_QUANTITY_BRDF, check_nearest);
   one_texel_check_all(path, "merl", linear, BTF_QUANTITY_BRDF, check_linear);
-  one_texel_check_allocations(path, "merl");
+  format_check_allocations(path, "merl", 3);
 }
 
 static void test_missing(void **state) {
@@ -147,23 +147,23 @@ static void test_damaged(void **state) {
   static const off_t sizes[] = {
       0, 1, 4, 11, 12, 20, 11664012, 23328012, SIZE - 8, SIZE - 1, SIZE + 1, (off_t)SIZE + ((off_t)1 << 32)};
   test_memory memory;
-  btf_context *ctx = one_texel_context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("damaged.dat");
   for (int i = 0; i < 3; i++)
     for (size_t k = 0; k < sizeof lies / sizeof *lies; k++) {
       uint32_t bins[3] = {90, 90, 180};
       bins[i] = lies[k];
       write_header(path, bins, SIZE);
-      one_texel_refused(ctx, path, "merl");
+      format_expect_refusal(ctx, path, "merl");
     }
   const uint32_t both[3] = {(uint32_t)-90, (uint32_t)-90, 180}, turned[3] = {180, 90, 90};
   write_header(path, both, SIZE);
-  one_texel_refused(ctx, path, "merl");
+  format_expect_refusal(ctx, path, "merl");
   write_header(path, turned, SIZE);
-  one_texel_refused(ctx, path, "merl");
+  format_expect_refusal(ctx, path, "merl");
   for (size_t k = 0; k < sizeof sizes / sizeof *sizes; k++) {
     write_header(path, sound, sizes[k]);
-    one_texel_refused(ctx, path, "merl");
+    format_expect_refusal(ctx, path, "merl");
   }
   test_context_done(ctx, &memory);
 }
@@ -172,7 +172,7 @@ static void test_damaged(void **state) {
 static void test_refusals(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = one_texel_context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("nan.dat");
   const char *const unknown[] = {"directions", "ubo82", NULL};
   const uint32_t bins[3] = {90, 90, 180};
@@ -186,10 +186,10 @@ static void test_refusals(void **state) {
   assert_int_equal(fseek(file, 12, SEEK_SET), 0);
   assert_int_equal(fwrite("\xff\xff\xff\xff\xff\xff\xff\x7f", 1, 8, file), 8);
   fclose(file);
-  assert_ok(one_texel_try(ctx, path, "merl", NULL, &ds));
+  assert_ok(format_try(ctx, path, "merl", NULL, &ds));
   assert_status(btf_dataset_read(ds, &first, sample, &strides), BTF_E_CORRUPT);
   btf_dataset_release(ds);
-  assert_status(one_texel_try(ctx, path, "merl", unknown, &ds), BTF_E_INVALID_ARG);
+  assert_status(format_try(ctx, path, "merl", unknown, &ds), BTF_E_INVALID_ARG);
   assert_message_has("ubo82");
   test_context_done(ctx, &memory);
 }

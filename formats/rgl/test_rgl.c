@@ -266,19 +266,19 @@ static void test_values(void **state) {
     if (checked < 4 * passed_over)
       fail_msg("%s: %ld passed over, %ld checked", current->label, passed_over, checked);
   }
-  one_texel_check_allocations(test_path("material.dat"), "rgl");
+  format_check_allocations(test_path("material.dat"), "rgl", 3);
 }
 
 static void test_description(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = one_texel_context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("notes.dat");
   btf_dataset *ds;
   btf_dataset_desc d = BTF_DATASET_DESC_INIT;
   write_case(&cases[9], &image);
   test_write_bytes(path, image.data, image.size);
-  assert_ok(one_texel_try(ctx, path, "rgl", NULL, &ds));
+  assert_ok(format_try(ctx, path, "rgl", NULL, &ds));
   assert_ok(btf_dataset_describe(ds, &d));
   assert_int_equal(d.channels, 44);
   assert_string_equal(d.channel_names[1], "406");
@@ -294,14 +294,14 @@ static void test_description(void **state) {
 static void test_truncation(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = one_texel_context(&memory);
+  btf_context *ctx = format_context(&memory);
   for (size_t k = 0; k < 9; k += 2) {
     const char *path = test_path("short.dat");
     write_case(&cases[k], &image);
     test_write_bytes(path, image.data, image.size);
     for (size_t size = image.size; size-- > 0;) {
       assert_int_equal(truncate(path, (off_t)size), 0);
-      one_texel_refused(ctx, path, "rgl");
+      format_expect_refusal(ctx, path, "rgl");
     }
   }
   test_context_done(ctx, &memory);
@@ -313,7 +313,7 @@ static void test_lies(void **state) {
   static const uint64_t lies[] = {
       0, 1, 2, 7, 12, 0x7fffffff, 0x80000000, 0xffffffff, (uint64_t)1 << 62, UINT64_MAX};
   test_memory memory;
-  btf_context *ctx = one_texel_context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("lie.dat");
   const btf_block first = {0, 1, 0, 1, 0, 0, 1, 1};
   const btf_strides strides = {256, 256, 256, 256, 4};
@@ -330,7 +330,7 @@ static void test_lies(void **state) {
           image.data[image.marks[m] + (size_t)b] = (unsigned char)(lies[i] >> (8 * b));
         test_write_bytes(path, image.data, image.size);
         memcpy(image.data + image.marks[m], kept, 8);
-        if (one_texel_try(ctx, path, "rgl", NULL, &ds) != BTF_OK) {
+        if (format_try(ctx, path, "rgl", NULL, &ds) != BTF_OK) {
           refused++;
           assert_null(strchr(btf_error_message(), '\n'));
           continue;
@@ -367,7 +367,7 @@ static void test_contents(void **state) {
   } odd[] = {{PHI, 1, NAN},   {PHI, 1, -4},  {PHI, 4, INFINITY}, {THETA, 0, 2},        {THETA, 1, 0.1f},
              {THETA, 2, NAN}, {VNDF, 0, -1}, {VNDF, 7, NAN},     {VNDF, 299, INFINITY}};
   test_memory memory;
-  btf_context *ctx = one_texel_context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("odd.dat");
   btf_dataset *ds;
   float sample[3];
@@ -377,18 +377,18 @@ static void test_contents(void **state) {
     write_case(&cases[3], &image);
     set_float(&cases[3], odd[i].field, odd[i].index, odd[i].value);
     test_write_bytes(path, image.data, image.size);
-    one_texel_refused(ctx, path, "rgl");
+    format_expect_refusal(ctx, path, "rgl");
   }
   /* An empty distribution for one direction. */
   write_case(&cases[3], &image);
   for (unsigned i = 0; i < VROWS * VCOLUMNS; i++) set_float(&cases[3], VNDF, VROWS * VCOLUMNS * 2 + i, 0);
   test_write_bytes(path, image.data, image.size);
-  one_texel_refused(ctx, path, "rgl");
+  format_expect_refusal(ctx, path, "rgl");
   /* A value that is not finite is named where it is read. */
   write_case(&cases[0], &image);
   for (unsigned i = 0; i < SIZE * SIZE; i++) set_float(&cases[0], VALUES, i, NAN);
   test_write_bytes(path, image.data, image.size);
-  assert_ok(one_texel_try(ctx, path, "rgl", NULL, &ds));
+  assert_ok(format_try(ctx, path, "rgl", NULL, &ds));
   assert_status(btf_dataset_read(ds, &first, sample, &strides), BTF_E_CORRUPT);
   btf_dataset_release(ds);
   test_context_done(ctx, &memory);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
 /* Polynomial texture maps: files of known coefficients against the polynomial, and damaged headers. */
-#include "btf_test.h"
+#include "../source/test_format.h"
 
 #include <unistd.h>
 
@@ -61,15 +61,9 @@ static double decoded(double v) {
   return v < 0 ? -l : l;
 }
 
-static btf_context *context(test_memory *memory) {
-  btf_context *ctx = test_context(memory);
-  assert_ok(btf_formats_register(ctx));
-  return ctx;
-}
-
 static void check(const ptm_case *c, int linear) {
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("map.dat");
   const btf_format *format;
   btf_options *options;
@@ -111,28 +105,19 @@ static void test_values(void **state) {
     for (int linear = 0; linear < 2; linear++) check(&cases[i], linear);
 }
 
-static void refused(btf_context *ctx, const char *path) {
-  btf_dataset *ds = NULL;
-  const btf_status status = btf_format_open(ctx, path, btf_format_find(ctx, "rti-ptm"), NULL, &ds);
-  if (status == BTF_OK) fail_msg("%s was opened", path);
-  assert_true(status >= BTF_E_NOT_BTF && status < 40);
-  assert_true(strncmp(btf_error_message(), path, strlen(path)) == 0);
-  assert_null(strchr(btf_error_message(), '\n'));
-}
-
 static void test_sizes(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("size.dat");
   unsigned char image[4096];
   for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
     const size_t whole = write_case(&cases[i], path, image);
     assert_int_equal(truncate(path, (off_t)whole + 1), 0);
-    refused(ctx, path);
+    format_expect_refusal(ctx, path, "rti-ptm");
     for (size_t size = whole; size-- > 0;) {
       assert_int_equal(truncate(path, (off_t)size), 0);
-      refused(ctx, path);
+      format_expect_refusal(ctx, path, "rti-ptm");
     }
   }
   test_context_done(ctx, &memory);
@@ -164,49 +149,35 @@ static void test_headers(void **state) {
                                       "PTM_1.22\nPTM_FORMAT_RGB",      "#HSH1.2\nPTM_FORMAT_RGB"};
   static const char *const numbers[] = {"nan", "inf", "1e999", "--1", "1,5", "e5", ".", "1.5.5"};
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("header.dat");
   char text[512] = "";
   for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++) {
     const int length =
         snprintf(text, 400, "PTM_1.2\nPTM_FORMAT_LRGB\n%s\n" SCALES "\n" BIASES "\n", sizes[i]);
     test_write_bytes(path, text, (size_t)length + 54);
-    refused(ctx, path);
+    format_expect_refusal(ctx, path, "rti-ptm");
   }
   for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++) {
     const int length = snprintf(text, 400, "%s\n3 2\n" SCALES "\n" BIASES "\n", kinds[i]);
     test_write_bytes(path, text, (size_t)length + 54);
-    refused(ctx, path);
+    format_expect_refusal(ctx, path, "rti-ptm");
   }
   for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
     const int length =
         snprintf(text, 400, "PTM_1.2\nPTM_FORMAT_LRGB\n3 2\n" SCALES " 1 2 3 4 5 %s\n", numbers[i]);
     test_write_bytes(path, text, (size_t)length + 54);
-    refused(ctx, path);
+    format_expect_refusal(ctx, path, "rti-ptm");
   }
   test_context_done(ctx, &memory);
 }
 
 static void test_allocations(void **state) {
   (void)state;
-  test_memory memory;
-  btf_context *ctx = context(&memory);
   const char *path = test_path("whole.dat");
   unsigned char image[4096];
   write_case(&cases[0], path, image);
-  for (long fail_at = 1;; fail_at++) {
-    btf_dataset *ds = NULL;
-    memory.fail_at = memory.total_allocations + fail_at;
-    const btf_status status = btf_format_open(ctx, path, NULL, NULL, &ds);
-    btf_dataset_release(ds);
-    if (status == BTF_OK) {
-      assert_true(fail_at > 5);
-      break;
-    }
-    assert_int_equal(status, BTF_E_NOMEM);
-  }
-  memory.fail_at = 0;
-  test_context_done(ctx, &memory);
+  format_check_allocations(path, "rti-ptm", 5);
 }
 
 int main(void) {

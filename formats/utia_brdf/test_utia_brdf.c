@@ -78,25 +78,25 @@ static void test_values(void **state) {
   one_texel_check_all(path, "utia-brdf", grid, BTF_QUANTITY_BRDF, check);
   assert_true(negative > 0);
   one_texel_check_all(path, "utia-brdf", inside, BTF_QUANTITY_BRDF_COS, check);
-  one_texel_check_allocations(path, "utia-brdf");
+  format_check_allocations(path, "utia-brdf", 3);
 }
 
 static void test_sizes(void **state) {
   (void)state;
   static const off_t off_by[] = {1, 2, 4, 7, 8, 9, 64, 4096, 8 * SIDE, 8 * SIDE * SIDE, 16 * SIDE * SIDE};
   test_memory memory;
-  btf_context *ctx = one_texel_context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("damaged.dat");
   for (int sign = -1; sign <= 1; sign += 2)
     for (size_t k = 0; k < sizeof off_by / sizeof *off_by; k++) {
       const btf_format *format;
       test_write_bytes(path, "", 0);
       assert_int_equal(truncate(path, SIZE + sign * off_by[k]), 0);
-      one_texel_refused(ctx, path, "utia-brdf");
+      format_expect_refusal(ctx, path, "utia-brdf");
       assert_status(btf_format_detect(ctx, path, &format), BTF_E_NOT_BTF);
     }
   test_write_bytes(path, "", 0);
-  one_texel_refused(ctx, path, "utia-brdf");
+  format_expect_refusal(ctx, path, "utia-brdf");
   test_context_done(ctx, &memory);
 }
 
@@ -105,7 +105,7 @@ static void test_contents(void **state) {
   (void)state;
   static const double odd[] = {NAN, INFINITY, -INFINITY, 1e7, -1e9, 1e-13, 4e-310, 1e300};
   test_memory memory;
-  btf_context *ctx = one_texel_context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("odd.dat");
   double *values = table();
   for (size_t k = 0; k < sizeof odd / sizeof *odd; k++) {
@@ -117,7 +117,7 @@ static void test_contents(void **state) {
     values[0] = odd[k];
     test_write_bytes(path, values, SIZE);
     assert_status(btf_format_detect(ctx, path, &format), BTF_E_NOT_BTF);
-    assert_ok(one_texel_try(ctx, path, "utia-brdf", NULL, &ds));
+    assert_ok(format_try(ctx, path, "utia-brdf", NULL, &ds));
     const int named = !(fabs(odd[k]) < 1e38);
     assert_status(btf_dataset_read(ds, &first, sample, &strides), named ? BTF_E_CORRUPT : BTF_OK);
     btf_dataset_release(ds);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 /* UTIA's containers: files of known contents, written from the description of the format, and damaged ones.
  */
-#include "btf_test.h"
+#include "../source/test_format.h"
 
 #include <unistd.h>
 
@@ -137,12 +137,6 @@ static bytes write_case(const mif_case *c) {
   return b;
 }
 
-static btf_context *context(test_memory *memory) {
-  btf_context *ctx = test_context(memory);
-  assert_ok(btf_formats_register(ctx));
-  return ctx;
-}
-
 /* ---- tests ---- */
 
 static void check_directions(const btf_dataset_desc *d) {
@@ -182,7 +176,7 @@ static void test_values(void **state) {
   for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
     const mif_case *c = &cases[i];
     test_memory memory;
-    btf_context *ctx = context(&memory);
+    btf_context *ctx = format_context(&memory);
     const char *path = test_path("images.dat");
     const btf_format *format;
     btf_dataset *ds;
@@ -211,7 +205,7 @@ static void test_values(void **state) {
 static void test_options(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const btf_format *format = btf_format_find(ctx, "utia-mif");
   const char *path = test_path("options.dat");
   btf_options *options;
@@ -239,28 +233,18 @@ static void test_options(void **state) {
   test_context_done(ctx, &memory);
 }
 
-static void refused(btf_context *ctx, const char *path) {
-  btf_dataset *ds = NULL;
-  const btf_status status = btf_format_open(ctx, path, btf_format_find(ctx, "utia-mif"), NULL, &ds);
-  if (status == BTF_OK) fail_msg("%s was opened", path);
-  assert_true(status >= BTF_E_NOT_BTF && status < 40);
-  assert_null(ds);
-  assert_true(strncmp(btf_error_message(), path, strlen(path)) == 0);
-  assert_null(strchr(btf_error_message(), '\n'));
-}
-
 /* Cut anywhere, also between two chunks. */
 static void test_truncation(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("short.dat");
   for (int i = 0; i < 3; i++) {
     bytes b = write_case(&cases[i]);
     test_write_bytes(path, b.data, b.size);
     for (size_t size = b.size; size-- > 0;) {
       assert_int_equal(truncate(path, (off_t)size), 0);
-      refused(ctx, path);
+      format_expect_refusal(ctx, path, "utia-mif");
     }
     free(b.data);
   }
@@ -274,7 +258,7 @@ static void test_lies(void **state) {
   static const uint64_t lies[] = {
       7, 13, 0x7fffffff, 0x80000000, 0xffffffff, (uint64_t)1 << 32, (uint64_t)1 << 62, UINT64_MAX};
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("lie.dat");
   bytes b = write_case(&cases[0]);
   test_write_bytes(path, b.data, b.size);
@@ -288,7 +272,7 @@ static void test_lies(void **state) {
       assert_int_equal(fseek(file, (long)b.marks[m], SEEK_SET), 0);
       assert_int_equal(fwrite(&lies[k], 1, 8, file), 8);
       assert_int_equal(fflush(file), 0);
-      refused(ctx, path);
+      format_expect_refusal(ctx, path, "utia-mif");
       assert_int_equal(fseek(file, (long)b.marks[m], SEEK_SET), 0);
       assert_int_equal(fwrite(&was, 1, 8, file), 8);
     }
@@ -321,21 +305,21 @@ static void test_descriptions(void **state) {
       "<mipmap/><directions name='Uniform' stepTheta='45' stepPhi='90'/>",
   };
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = test_path("text.dat");
   for (size_t i = 0; i < sizeof texts / sizeof *texts; i++) {
     mif_case c = cases[0];
     c.xml = texts[i];
     bytes b = write_case(&c);
     test_write_bytes(path, b.data, b.size);
-    refused(ctx, path);
+    format_expect_refusal(ctx, path, "utia-mif");
     free(b.data);
   }
   mif_case c = cases[0];
   bytes b = write_case(&c);
   put_image(&b, &c, 3);
   test_write_bytes(path, b.data, b.size);
-  refused(ctx, path);
+  format_expect_refusal(ctx, path, "utia-mif");
   assert_message_has("image 3 is there twice");
   free(b.data);
   test_context_done(ctx, &memory);
@@ -343,25 +327,11 @@ static void test_descriptions(void **state) {
 
 static void test_allocations(void **state) {
   (void)state;
-  test_memory memory;
-  btf_context *ctx = context(&memory);
   const char *path = test_path("whole.dat");
   bytes b = write_case(&cases[0]);
   test_write_bytes(path, b.data, b.size);
   free(b.data);
-  for (long fail_at = 1;; fail_at++) {
-    btf_dataset *ds = NULL;
-    memory.fail_at = memory.total_allocations + fail_at;
-    const btf_status status = btf_format_open(ctx, path, NULL, NULL, &ds);
-    btf_dataset_release(ds);
-    if (status == BTF_OK) {
-      assert_true(fail_at > 5);
-      break;
-    }
-    assert_int_equal(status, BTF_E_NOMEM);
-  }
-  memory.fail_at = 0;
-  test_context_done(ctx, &memory);
+  format_check_allocations(path, "utia-mif", 5);
 }
 
 int main(void) {

@@ -229,7 +229,7 @@ bool btfi_options_are_of_params(const btf_options *options, const btfi_params *p
   return options->params == params;
 }
 bool btfi_options_are_of(const btf_options *options, const btf_codec *codec) {
-  return options->params == &codec->params;
+  return btfi_options_are_of_params(options, &codec->params);
 }
 const char *btfi_options_owner(const btf_options *options) {
   return options->params->owner;

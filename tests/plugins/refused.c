@@ -67,30 +67,22 @@ static void texel(const void *state, uint32_t l, uint32_t x, uint32_t y, uint32_
 static const btf_codec_vtbl first = CODEC(FIRST_ID, eval), second = CODEC(SECOND_ID, SECOND_EVAL);
 static const btf_codec_vtbl *const codecs[] = {&first, &second};
 #if defined(REFUSED_EMPTY)
-static const btf_plugin_info info = {.struct_size = sizeof info,
-                                     .abi = LIBBTF_ABI,
-                                     .name = "refused",
-                                     .license = "MIT",
-                                     .codecs = codecs,
-                                     .codec_count = 0,
-                                     .host_size_needed = sizeof(btf_host)};
-#elif defined(REFUSED_NEWER_HOST)
-static const btf_plugin_info info = {.struct_size = sizeof info,
-                                     .abi = LIBBTF_ABI,
-                                     .name = "refused",
-                                     .license = "MIT",
-                                     .codecs = codecs,
-                                     .codec_count = 2,
-                                     .host_size_needed = sizeof(btf_host) + 8};
+#define CODEC_COUNT 0
 #else
+#define CODEC_COUNT 2
+#endif
+#if defined(REFUSED_NEWER_HOST)
+#define HOST_SIZE (sizeof(btf_host) + 8)
+#else
+#define HOST_SIZE sizeof(btf_host)
+#endif
 static const btf_plugin_info info = {.struct_size = sizeof info,
                                      .abi = LIBBTF_ABI,
                                      .name = "refused",
                                      .license = "MIT",
                                      .codecs = codecs,
-                                     .codec_count = 2,
-                                     .host_size_needed = sizeof(btf_host)};
-#endif
+                                     .codec_count = CODEC_COUNT,
+                                     .host_size_needed = HOST_SIZE};
 
 #if defined(REFUSED_NO_ENTRY)
 #define ENTRY btf_plugin_entry_0

@@ -1,0 +1,20 @@
+/* SPDX-License-Identifier: MIT */
+/* test_format.h: what the suites of all formats share. */
+#ifndef BTF_FORMATS_TEST_FORMAT_H
+#define BTF_FORMATS_TEST_FORMAT_H
+
+#include "btf_test.h"
+
+#include <btf/btf_formats.h>
+
+/* A counting context with all formats. */
+btf_context *format_context(test_memory *memory);
+/* Opens a file as the format `id`. `settings` is name, value, ..., NULL, or NULL. */
+btf_status format_try(btf_context *ctx, const char *path, const char *id, const char *const *settings,
+                      btf_dataset **out);
+/* Opens the file, which must be refused with one line that begins with the path. */
+void format_expect_refusal(btf_context *ctx, const char *path, const char *id);
+/* Fails each allocation of opening and of reading a sample in turn; there are more than `least`. */
+void format_check_allocations(const char *path, const char *id, long least);
+
+#endif
