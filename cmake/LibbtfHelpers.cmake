@@ -119,6 +119,12 @@ function(libbtf_format name)
   endif()
 endfunction()
 
+# libbtf_format_libraries(NAME libraries...): what the folder's sources need beside the library.
+function(libbtf_format_libraries name)
+  target_link_libraries(btf_format_${name} PRIVATE ${ARGN})
+  set_property(GLOBAL APPEND PROPERTY libbtf_format_libraries ${ARGN})
+endfunction()
+
 # libbtf_finish_formats(OBJECTS...): the library of all formats and its table.
 function(libbtf_finish_formats)
   get_property(formats GLOBAL PROPERTY libbtf_formats)
@@ -145,7 +151,8 @@ function(libbtf_finish_formats)
     SOVERSION ${LIBBTF_ABI} EXPORT_NAME formats)
   target_include_directories(btf_formats PUBLIC
     $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/include> $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
-  target_link_libraries(btf_formats PUBLIC libbtf::btf PRIVATE m)
+  get_property(libraries GLOBAL PROPERTY libbtf_format_libraries)
+  target_link_libraries(btf_formats PUBLIC libbtf::btf PRIVATE m ${libraries})
   if(LIBBTF_SANITIZE)
     target_link_options(btf_formats PUBLIC -fsanitize=${LIBBTF_SANITIZE})
   endif()
