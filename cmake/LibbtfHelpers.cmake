@@ -119,10 +119,21 @@ function(libbtf_format name)
   endif()
 endfunction()
 
-# libbtf_format_libraries(NAME libraries...): what the folder's sources need beside the library.
-function(libbtf_format_libraries name)
-  target_link_libraries(btf_format_${name} PRIVATE ${ARGN})
-  set_property(GLOBAL APPEND PROPERTY libbtf_format_libraries ${ARGN})
+# libbtf_format_package(NAME package target module debian): a library that the folder's sources need: the CMake package, its
+# target, its name for pkg-config and its package in Debian. One that other targets link comes before them.
+function(libbtf_format_package name package target module debian)
+  string(TOUPPER ${name} upper)
+  if(NOT TARGET ${target})
+    find_package(${package} QUIET)
+    if(NOT TARGET ${target})
+      message(FATAL_ERROR "${package} (${debian}) is needed for the format ${name}; -DLIBBTF_FORMAT_${upper}=OFF goes without")
+    endif()
+    set_target_properties(${target} PROPERTIES IMPORTED_GLOBAL ON) # for whatever links the formats
+  endif()
+  target_link_libraries(btf_format_${name} PRIVATE ${target})
+  set_property(GLOBAL APPEND PROPERTY libbtf_format_packages ${package})
+  set_property(GLOBAL APPEND PROPERTY libbtf_format_libraries ${target})
+  set_property(GLOBAL APPEND PROPERTY libbtf_format_modules ${module})
 endfunction()
 
 # libbtf_finish_formats(OBJECTS...): the library of all formats and its table.

@@ -24,13 +24,25 @@ if(modules)
   install(TARGETS ${modules} LIBRARY DESTINATION ${LIBBTF_PLUGIN_DIR} COMPONENT codecs)
 endif()
 
+set(format_packages "")
+set(pc_formats_requires_private "")
+if(TARGET btf_formats)
+  get_target_property(formats_type btf_formats TYPE)
+  if(formats_type STREQUAL "STATIC_LIBRARY")
+    get_property(format_packages GLOBAL PROPERTY libbtf_format_packages)
+    list(JOIN format_packages " " format_packages)
+  endif()
+  get_property(pc_formats_requires_private GLOBAL PROPERTY libbtf_format_modules)
+  list(JOIN pc_formats_requires_private " " pc_formats_requires_private)
+endif()
+
 set(package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/libbtf)
 install(EXPORT libbtf-targets NAMESPACE libbtf:: DESTINATION ${package_dir} COMPONENT dev)
 configure_package_config_file(cmake/libbtfConfig.cmake.in libbtfConfig.cmake INSTALL_DESTINATION ${package_dir})
 # Before 1.0 any minor release may change the interface.
 write_basic_package_version_file(libbtfConfigVersion.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/libbtfConfig.cmake ${CMAKE_CURRENT_BINARY_DIR}/libbtfConfigVersion.cmake
-  cmake/FindZstd.cmake cmake/FindOpenBLAS_LAPACKE.cmake
+  cmake/FindZstd.cmake cmake/FindOpenBLAS_LAPACKE.cmake cmake/FindMinizip.cmake
   DESTINATION ${package_dir} COMPONENT dev)
 
 # libbtf.pc finds its prefix from its own place, so that an installed tree can be moved.

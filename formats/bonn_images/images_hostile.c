@@ -2,13 +2,11 @@
 #include "images_hostile.h"
 
 #include "images_case.h"
-#include "btf_test.h"
+#include "../source/test_format.h"
 
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
-
-#include <btf/btf_formats.h>
 
 static const char first_name[] = "tv000_pv000/tl000_pl000_tv000_pv000.img.png";
 static const char second_name[] = "tv000_pv000/tl015_pl000_tv000_pv000.img.png";
@@ -29,18 +27,6 @@ static btf_context *bounded_context(test_memory *memory) {
   assert_ok(btf_context_create(&desc, &ctx));
   assert_ok(btf_formats_register(ctx));
   return ctx;
-}
-
-static btf_status open_images(btf_context *ctx, const char *path, const char *option, const char *value,
-                              btf_dataset **out) {
-  const btf_format *format = btf_format_find(ctx, "bonn-images");
-  btf_options *options;
-  assert_ok(btf_format_options_create(format, &options));
-  if (option != NULL) assert_ok(btf_options_set(options, option, value));
-  *out = NULL;
-  const btf_status status = btf_format_open(ctx, path, format, options, out);
-  btf_options_release(options);
-  return status;
 }
 
 static void check_refusal(const char *label, btf_status got, btf_status wanted, const char *part,
@@ -133,7 +119,7 @@ static void refuse_archive(const char *label, const case_bytes *bytes, btf_statu
   const char *path = test_path("hostile.zip");
   test_write_bytes(path, bytes->data, bytes->size);
   const clock_t began = clock();
-  const btf_status got = open_images(ctx, path, NULL, NULL, &ds);
+  const btf_status got = format_try(ctx, path, "bonn-images", NULL, &ds);
   assert_null(ds);
   check_refusal(label, got, status, part, began);
   test_context_done(ctx, &memory);
@@ -227,7 +213,7 @@ void test_truncation(void **state) {
     btf_dataset *ds;
     const btf_format *format;
     test_write_bytes(path, zip.bytes.data, size);
-    const btf_status status = open_images(ctx, path, NULL, NULL, &ds);
+    const btf_status status = format_try(ctx, path, "bonn-images", NULL, &ds);
     if (status == BTF_OK) fail_msg("opened with %zu of %zu bytes", size, zip.bytes.size);
     assert_true(status >= BTF_E_LIMIT && status < BTF_E_CANCELLED);
     assert_true(strlen(btf_error_message()) > 0 && strchr(btf_error_message(), '\n') == NULL);
@@ -274,7 +260,7 @@ static void refuse_picture(const char *label, const zip_writer *others, zip_memb
   test_write_bytes(path, zip.bytes.data, zip.bytes.size);
   zip_free(&zip);
   const clock_t began = clock();
-  const btf_status opened = open_images(ctx, path, NULL, NULL, &ds);
+  const btf_status opened = format_try(ctx, path, "bonn-images", NULL, &ds);
   if (opened != BTF_OK) { /* what is short is looked at whole when the archive is opened */
     check_refusal(label, opened, status, part, began);
     assert_message_has(name);
@@ -376,6 +362,7 @@ void test_hostile_pictures(void **state) {
 
 void test_duplicates(void **state) {
   static const picture_case hdr = {CASE_HDR, 8, 2, 3, case_code};
+  static const char *const take_first[] = {"duplicates", "first", NULL};
   (void)state;
   test_memory memory;
   btf_context *ctx = bounded_context(&memory);
@@ -397,10 +384,10 @@ void test_duplicates(void **state) {
   case_free(&picture);
   case_free(&other);
   zip_free(&zip);
-  assert_status(open_images(ctx, path, NULL, NULL, &ds), BTF_E_CORRUPT);
+  assert_status(format_try(ctx, path, "bonn-images", NULL, &ds), BTF_E_CORRUPT);
   assert_message_has("z_tl030_pl000_tv060_pv054.png and a_tl30_pl0_tv60_pv54.png");
   assert_message_has("duplicates=first");
-  assert_ok(open_images(ctx, path, "duplicates", "first", &ds));
+  assert_ok(format_try(ctx, path, "bonn-images", take_first, &ds));
   assert_ok(btf_dataset_read(ds, &block, sample, &strides));
   assert_near(sample[0], (case_code(40, 7, 0, 1, 0) + 0.5) / 256, 0);
   btf_dataset_release(ds);
@@ -419,21 +406,23 @@ void test_odd_folders(void **state) {
   const clock_t began = clock();
   assert_int_equal(mkdir(path, 0700), 0);
   assert_status(btf_format_detect(ctx, path, &format), BTF_E_NOT_BTF);
-  check_refusal("empty folder", open_images(ctx, path, NULL, NULL, &ds), BTF_E_NOT_BTF, "tl, pl, tv and pv",
-                began);
+  check_refusal("empty folder", format_try(ctx, path, "bonn-images", NULL, &ds), BTF_E_NOT_BTF,
+                "tl, pl, tv and pv", began);
   snprintf(inner, sizeof inner, "%s/loop", path);
   assert_int_equal(symlink(path, inner), 0);
-  check_refusal("circle", open_images(ctx, path, NULL, NULL, &ds), BTF_E_NOT_BTF, "tl, pl, tv and pv", began);
+  check_refusal("circle", format_try(ctx, path, "bonn-images", NULL, &ds), BTF_E_NOT_BTF, "tl, pl, tv and pv",
+                began);
   snprintf(inner, sizeof inner, "%s/tl000_pl000_tv000_pv000.png", path);
   assert_int_equal(mkfifo(inner, 0600), 0);
-  check_refusal("pipe", open_images(ctx, path, NULL, NULL, &ds), BTF_E_IO, "not a file", began);
+  check_refusal("pipe", format_try(ctx, path, "bonn-images", NULL, &ds), BTF_E_IO, "not a file", began);
   assert_int_equal(unlink(inner), 0);
   assert_int_equal(symlink("nowhere", inner), 0);
-  check_refusal("link to nothing", open_images(ctx, path, NULL, NULL, &ds), BTF_E_IO, "not a file", began);
+  check_refusal("link to nothing", format_try(ctx, path, "bonn-images", NULL, &ds), BTF_E_IO, "not a file",
+                began);
   assert_int_equal(unlink(inner), 0);
   test_write_bytes(inner, "", 0);
-  check_refusal("empty file", open_images(ctx, path, NULL, NULL, &ds), BTF_E_CORRUPT, "empty", began);
+  check_refusal("empty file", format_try(ctx, path, "bonn-images", NULL, &ds), BTF_E_CORRUPT, "empty", began);
   assert_int_equal(truncate(inner, 5000), 0);
-  check_refusal("zeros", open_images(ctx, path, NULL, NULL, &ds), BTF_E_CORRUPT, "neither", began);
+  check_refusal("zeros", format_try(ctx, path, "bonn-images", NULL, &ds), BTF_E_CORRUPT, "neither", began);
   test_context_done(ctx, &memory);
 }

@@ -3,7 +3,7 @@
 #ifndef BTF_FORMATS_PICTURE_H
 #define BTF_FORMATS_PICTURE_H
 
-#include <btf/btf_base.h>
+#include <btf/btf_plugin.h>
 #include <stdbool.h>
 #include <stddef.h>
 

@@ -3,12 +3,11 @@
  * refused. */
 #include "images_case.h"
 #include "images_hostile.h"
-#include "btf_test.h"
+#include "../source/test_format.h"
 
 #include <pthread.h>
 #include <sys/stat.h>
 
-#include <btf/btf_formats.h>
 #include <btf/btf_half.h>
 
 #include "bonn_images/bonn_images.h"
@@ -46,12 +45,6 @@ static const archive_case cases[] = {
      "linear"},
 };
 enum { CASES = sizeof cases / sizeof *cases };
-
-static btf_context *context(test_memory *memory) {
-  btf_context *ctx = test_context_with(memory, NULL, 3);
-  assert_ok(btf_formats_register(ctx));
-  return ctx;
-}
 
 /* ---- writing ---- */
 
@@ -100,17 +93,11 @@ static const char *write_case(const archive_case *c, const char *base, skip_fn i
   return path;
 }
 
+/* With one option, or without if its name is NULL. */
 static btf_status open_with(btf_context *ctx, const char *path, const char *option, const char *value,
                             btf_dataset **out) {
-  const btf_format *format = btf_format_find(ctx, "bonn-images");
-  btf_options *options;
-  assert_non_null(format);
-  assert_ok(btf_format_options_create(format, &options));
-  if (option != NULL) assert_ok(btf_options_set(options, option, value));
-  *out = NULL;
-  const btf_status status = btf_format_open(ctx, path, format, options, out);
-  btf_options_release(options);
-  return status;
+  const char *const settings[] = {option, value, NULL};
+  return format_try(ctx, path, "bonn-images", settings, out);
 }
 
 static const char *note(const btf_dataset_desc *d, const char *key) {
@@ -199,7 +186,7 @@ static void test_kinds(void **state) {
     const archive_case *c = &cases[i];
     const picture_case *p = &c->picture;
     test_memory memory;
-    btf_context *ctx = context(&memory);
+    btf_context *ctx = format_context(&memory);
     const btf_format *format;
     btf_dataset *ds;
     btf_dataset_desc d = BTF_DATASET_DESC_INIT;
@@ -299,10 +286,9 @@ static const archive_case gaps = {
 static void test_missing(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const char *path = write_case(&gaps, "gaps.zip", has_gap);
-  const btf_format *format = btf_format_find(ctx, "bonn-images");
-  btf_options *options;
+  static const char *const settings[] = {"allow_missing", "true", "transfer", "linear", "type", "f32", NULL};
   btf_dataset *ds;
   btf_dataset_desc d = BTF_DATASET_DESC_INIT;
   float samples[81 * 81 * 2];
@@ -311,11 +297,7 @@ static void test_missing(void **state) {
   assert_message_has("tl000 pl000 tv015 pv180");
   assert_message_has("tl045 pl120 tv015 pv180");
   assert_message_has("allow_missing");
-  assert_ok(btf_format_options_create(format, &options));
-  assert_ok(btf_options_set(options, "allow_missing", "true"));
-  assert_ok(btf_options_set(options, "transfer", "linear"));
-  assert_ok(btf_options_set(options, "type", "f32"));
-  assert_ok(btf_format_open(ctx, path, format, options, &ds));
+  assert_ok(format_try(ctx, path, "bonn-images", settings, &ds));
   assert_ok(btf_dataset_describe(ds, &d));
   assert_string_equal(note(&d, "images_filled"), "101");
   const btf_block whole = {0, 81, 0, 81, 0, 0, 2, 1};
@@ -330,7 +312,6 @@ static void test_missing(void **state) {
       assert_near(sample[1], linear_in(view), tolerance);
     }
   btf_dataset_release(ds);
-  btf_options_release(options);
   test_context_done(ctx, &memory);
 }
 
@@ -341,7 +322,7 @@ static bool all_but_one(uint32_t view, uint32_t light) {
 static void test_nearly_all_missing(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   btf_dataset *ds;
   const char *path = write_case(&gaps, "one.zip", all_but_one);
   assert_status(open_with(ctx, path, "allow_missing", "true", &ds), BTF_E_CORRUPT);
@@ -379,7 +360,7 @@ static void test_threads(void **state) {
   enum { THREADS = 4 };
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   btf_dataset *ds;
   pthread_t threads[THREADS];
   reading readings[THREADS];
@@ -401,7 +382,7 @@ static void test_allocations(void **state) {
   (void)state;
   const char *path = write_case(&gaps, "gaps.zip", has_gap);
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const btf_format *format = btf_format_find(ctx, "bonn-images");
   btf_options *options;
   assert_ok(btf_format_options_create(format, &options));
@@ -461,7 +442,7 @@ static unsigned char *encode(btf_context *ctx, const btf_codec *codec, const btf
 static void test_encoding_alike(void **state) {
   (void)state;
   test_memory memory;
-  btf_context *ctx = context(&memory);
+  btf_context *ctx = format_context(&memory);
   const btf_codec *codec = btf_codec_find(ctx, "fmf");
   if (codec == NULL || (btf_codec_caps(codec) & BTF_CAP_FIT) == 0) {
     test_context_done(ctx, &memory);

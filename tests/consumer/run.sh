@@ -44,18 +44,42 @@ check "links of the installed documentation" check_links "$work/prefix/share/doc
 check "links of the source tree" check_links "$source"
 check "the installed documentation is whole" diff -r -x man "$source/docs" "$work/prefix/share/doc/libbtf/docs"
 
+run_formats() { # FOLDER: the program that links the formats, if the build has them
+  [ ! -e "$work/$1/consumer_formats" ] || "$work/$1/consumer_formats"
+}
+
 build_package() {
   cmake -S "$source/tests/consumer" -B "$work/package" -DCMAKE_PREFIX_PATH="$work/prefix" &&
     cmake --build "$work/package" && "$work/package/consumer_c" && "$work/package/consumer_static" &&
-    "$work/package/consumer_cxx"
+    "$work/package/consumer_cxx" && run_formats package
 }
 check "find_package" build_package
 
+# With static libraries by default, so that those of the formats are made too; they are installed for what follows.
 build_subdirectory() {
-  cmake -S "$source/tests/consumer" -B "$work/sub" -DLIBBTF_SUBDIRECTORY="$source" -DLIBBTF_BUILD_TOOLS=OFF &&
-    cmake --build "$work/sub" && "$work/sub/consumer_c" && "$work/sub/consumer_static" && "$work/sub/consumer_cxx"
+  cmake -S "$source/tests/consumer" -B "$work/sub" -DLIBBTF_SUBDIRECTORY="$source" -DLIBBTF_BUILD_TOOLS=OFF \
+    -DBUILD_SHARED_LIBS=OFF -DLIBBTF_INSTALL=ON &&
+    cmake --build "$work/sub" && "$work/sub/consumer_c" && "$work/sub/consumer_static" && "$work/sub/consumer_cxx" &&
+    run_formats sub
 }
 check "add_subdirectory" build_subdirectory
+
+build_static_package() {
+  cmake --install "$work/sub" --prefix "$work/static" &&
+    cmake -S "$source/tests/consumer" -B "$work/static_package" -DCMAKE_PREFIX_PATH="$work/static" &&
+    cmake --build "$work/static_package" && "$work/static_package/consumer_c" && run_formats static_package
+}
+check "find_package of static libraries" build_static_package
+
+# shellcheck disable=SC2046
+pkg_static_formats() {
+  local folder
+  folder=$(dirname "$(find "$work/static" -name libbtf.pc)")
+  ${CC:-cc} -std=c99 "$source/tests/consumer/formats.c" -o "$work/pkg_static_formats" \
+    $(PKG_CONFIG_PATH=$folder pkg-config --static --cflags --libs libbtf-formats) && "$work/pkg_static_formats" &&
+    ! ldd "$work/pkg_static_formats" | grep -q libbtfformats
+}
+if [ -e "$work/sub/consumer_formats" ]; then check "pkg-config of the static formats" pkg_static_formats; fi
 
 # shellcheck disable=SC2046
 pkg_shared() {

@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: MIT */
 /* Readers of measured files: any bytes are refused with one line, or open as a data set whose samples can be
- * read or are refused in their place, and that evaluates to finite numbers. FUZZ_FORMAT is the format's id.
+ * read or are refused in their place; by default and with other settings. FUZZ_FORMAT is the format's id.
  */
 #include "fuzz_file.h"
 
 #include <math.h>
+#include <stdbool.h>
 
 #include <btf/btf_formats.h>
 
@@ -31,25 +32,55 @@ static void read_all(const btf_dataset *ds) {
   }
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
-  btf_context *ctx = fuzz_context((uint64_t)64 << 20);
-  uint64_t before, now;
+/* Every switch and choice other than it is by default. NULL if the format has none. */
+static btf_options *other_settings(const btf_format *format) {
+  btf_options *options;
+  bool any = false;
+  fuzz_expect(btf_format_options_create(format, &options) == BTF_OK);
+  for (uint32_t i = 0; i < btf_format_param_count(format); i++) {
+    btf_param_desc p = {.struct_size = sizeof p};
+    const char *value = NULL;
+    fuzz_expect(btf_format_param(format, i, &p) == BTF_OK);
+    if (p.type == BTF_PARAM_BOOL) value = strcmp(p.default_text, "true") == 0 ? "false" : "true";
+    for (size_t k = 0; p.type == BTF_PARAM_CHOICE && p.choices[k] != NULL; k++)
+      if (strcmp(p.choices[k], p.default_text) != 0) value = p.choices[k];
+    if (value == NULL) continue;
+    fuzz_expect(btf_options_set(options, p.name, value) == BTF_OK);
+    any = true;
+  }
+  if (any) return options;
+  btf_options_release(options);
+  return NULL;
+}
+
+static void open_and_read(btf_context *ctx, const char *path, const btf_format *format,
+                          const btf_options *options) {
   btf_dataset *ds = NULL;
-  fuzz_expect(btf_formats_register(ctx) == BTF_OK);
-  const btf_format *format = btf_format_find(ctx, FUZZ_FORMAT);
-  fuzz_expect(format != NULL);
-  btf_context_memory(ctx, &before, NULL);
-  fuzz_file file = fuzz_file_make(data, size);
-  const btf_status status = btf_format_open(ctx, file.path, format, NULL, &ds);
+  const btf_status status = btf_format_open(ctx, path, format, options, &ds);
   fuzz_expect((status == BTF_OK) == (ds != NULL));
   if (ds != NULL) {
     read_all(ds);
   } else {
-    fuzz_expect(strncmp(btf_error_message(), file.path, strlen(file.path)) == 0 || status == BTF_E_LIMIT ||
+    fuzz_expect(strncmp(btf_error_message(), path, strlen(path)) == 0 || status == BTF_E_LIMIT ||
                 status == BTF_E_NOMEM || status == BTF_E_INVALID_ARG);
     fuzz_expect(!strchr(btf_error_message(), '\n'));
   }
   btf_dataset_release(ds);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+  btf_context *ctx = fuzz_context((uint64_t)64 << 20);
+  uint64_t before, now;
+  fuzz_expect(btf_formats_register(ctx) == BTF_OK);
+  const btf_format *format = btf_format_find(ctx, FUZZ_FORMAT), *found;
+  fuzz_expect(format != NULL);
+  btf_context_memory(ctx, &before, NULL);
+  fuzz_file file = fuzz_file_make(data, size);
+  (void)!btf_format_detect(ctx, file.path, &found);
+  open_and_read(ctx, file.path, format, NULL);
+  btf_options *options = other_settings(format);
+  if (options != NULL) open_and_read(ctx, file.path, format, options);
+  btf_options_release(options);
   fuzz_file_drop(&file);
   btf_context_memory(ctx, &now, NULL);
   fuzz_expect(now == before);

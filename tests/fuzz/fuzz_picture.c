@@ -1,0 +1,42 @@
+/* SPDX-License-Identifier: MIT */
+/* JPEG, PNG and Radiance pictures of measured data, decoded in every way. In an archive their checksum would
+ * keep changed ones from being decoded. */
+#include "fuzz.h"
+
+#include <math.h>
+
+#include "bonn_images/picture.h"
+
+/* A few bytes may truly code a large picture, which would take long here. */
+enum { MOST_PIXELS = 1 << 16, MOST_SAMPLES = 3 * MOST_PIXELS };
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+  /* A guard behind each half of the samples. */
+  static uint16_t table16[1 << 16], halves[MOST_SAMPLES + 1];
+  static float table32[1 << 16], floats[MOST_SAMPLES + 1];
+  picture_info info;
+  picture_fault fault = {BTF_OK, ""};
+  bool complete;
+  const btf_status status = picture_look(data, size, &info, &complete, &fault);
+  if (status != BTF_OK) fuzz_expect(status == fault.status && fault.why[0] != '\0');
+  if (status != BTF_OK || !complete || (uint64_t)info.width * info.height > MOST_PIXELS) return 0;
+  const size_t count = (size_t)info.width * info.height * info.channels;
+  for (int way = 0; way < 8; way++) {
+    const bool half = (way & 1) != 0;
+    const picture_rules rules = {.sample_size = half ? 2 : 4,
+                                 .upside_down = (way & 2) != 0,
+                                 .columns_as_rows =
+                                     info.by_columns && info.width == info.height && (way & 4) != 0,
+                                 .table = half ? (const void *)table16 : table32};
+    halves[count] = 0xabcd;
+    floats[count] = 12345;
+    fault = (picture_fault){BTF_OK, ""};
+    const btf_status decoded =
+        picture_decode(data, size, &info, &rules, half ? (void *)halves : floats, &fault);
+    fuzz_expect(decoded == fault.status && (decoded == BTF_OK) == (fault.why[0] == '\0'));
+    fuzz_expect(halves[count] == 0xabcd && floats[count] == 12345);
+    if (decoded == BTF_OK && !half && info.kind == PICTURE_HDR)
+      for (size_t i = 0; i < count; i++) fuzz_expect(isfinite(floats[i]) && floats[i] >= 0);
+  }
+  return 0;
+}
