@@ -2,6 +2,8 @@
 /* Dense linear algebra of the host table against straightforward loops in double. */
 #include "btf_test.h"
 
+#include <cblas.h>
+
 #include "registry/registry.h"
 
 static const double float_unit = 1.0 / 16777216.0; /* 2^-24: error of one rounding */
@@ -55,6 +57,57 @@ static void check_gemm(btf_context *ctx, uint32_t flags, uint64_t m, uint64_t n,
   free(b);
   free(c);
   free(before);
+}
+
+/* The same for OpenBLAS with threads of its own and with one, where the library divides large calls. */
+static void with_either_threads(void (*check)(btf_context *ctx)) {
+  const int usual = openblas_get_num_threads();
+  test_memory memory;
+  for (int threads = 1; threads <= 2; threads++) {
+    btf_context *ctx = test_context_with(&memory, NULL, 3);
+    openblas_set_num_threads(threads);
+    check(ctx);
+    test_context_done(ctx, &memory);
+  }
+  openblas_set_num_threads(usual);
+}
+
+/* Divided by rows, by columns, and with a last part of another size. */
+static void check_large_products(btf_context *ctx) {
+  for (uint32_t flags = 0; flags < 4; flags++) {
+    check_gemm(ctx, flags, 701, 90, 131, -0.75f, 1.5f);
+    check_gemm(ctx, flags, 90, 701, 131, 1.0f, 0.0f);
+    check_gemm(ctx, flags, 5000, 3, 700, 1.0f, 0.0f);
+  }
+}
+
+static void large_products(void **state) {
+  (void)state;
+  with_either_threads(check_large_products);
+}
+
+/* The threads of the context change no bit. */
+static void threads_change_nothing(void **state) {
+  enum { ROWS = 1500, COLUMNS = 200, SQUARES = COLUMNS * COLUMNS };
+  static float product[2][SQUARES];
+  static double gram[2][SQUARES];
+  const int usual = openblas_get_num_threads();
+  float *a = random_floats((size_t)ROWS * COLUMNS);
+  test_memory memory;
+  (void)state;
+  openblas_set_num_threads(1);
+  memset(gram, 0, sizeof gram);
+  for (uint32_t i = 0; i < 2; i++) {
+    btf_context *ctx = test_context_with(&memory, NULL, i == 0 ? 1 : 3);
+    assert_ok(btfi_host()->gemm(ctx, BTF_TRANSPOSE_A, COLUMNS, COLUMNS, ROWS, 1.0f, a, COLUMNS, a, COLUMNS,
+                                0.0f, product[i], COLUMNS));
+    assert_ok(btfi_host()->gram(ctx, ROWS, COLUMNS, a, COLUMNS, gram[i]));
+    test_context_done(ctx, &memory);
+  }
+  assert_memory_equal(product[0], product[1], sizeof product[0]);
+  assert_memory_equal(gram[0], gram[1], sizeof gram[0]);
+  openblas_set_num_threads(usual);
+  free(a);
 }
 
 static void products(void **state) {
@@ -113,6 +166,16 @@ static void check_scaled_gram(btf_context *ctx, int exponent) {
   for (size_t i = 0; i < (size_t)COLUMNS * COLUMNS; i++)
     assert_true(scaled[i] == ldexp(plain[i], 2 * exponent));
   free(a);
+}
+
+static void check_large_grams(btf_context *ctx) {
+  check_gram(ctx, 700, 200, 0.0);
+  check_gram(ctx, 513, 65, 0.5);
+}
+
+static void large_squares(void **state) {
+  (void)state;
+  with_either_threads(check_large_grams);
 }
 
 static void squares(void **state) {
@@ -294,7 +357,10 @@ static void positive_definite_systems(void **state) {
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(products),
+      cmocka_unit_test(large_products),
       cmocka_unit_test(squares),
+      cmocka_unit_test(large_squares),
+      cmocka_unit_test(threads_change_nothing),
       cmocka_unit_test(eigenvectors),
       cmocka_unit_test(positive_definite_systems),
   };

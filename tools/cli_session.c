@@ -236,7 +236,9 @@ int cli_context(cli *c, btf_context **out) {
   if (status != BTF_OK) return cli_fail_library(status);
   c->threads = btf_context_threads(c->context);
 #ifdef BTF_TOOL_OPENBLAS
-  openblas_set_num_threads((int)c->threads);
+  /* The library divides large work among its own threads, which wait without spinning. What the user gave
+   * OpenBLAS itself stays. */
+  if (getenv("OPENBLAS_NUM_THREADS") == NULL) openblas_set_num_threads(1);
 #endif
 #ifdef BTF_TOOL_FORMATS
   status = btf_formats_register(c->context);

@@ -167,7 +167,8 @@ typedef struct btf_host {
                              const char *stage);
 
   /* Dense linear algebra through BLAS and LAPACK on row-major matrices; absent (BTF_E_UNSUPPORTED) in a build without
-   * fitting. They use threads of their own: large problems belong outside of tasks, small ones may be inside.
+   * fitting. Large gemm and gram calls outside of tasks are divided among the context's threads, with results that do
+   * not depend on their number while OpenBLAS has one thread; inside of tasks they run on the task's own.
    * gemm: c (m x n) = alpha op(a) op(b) + beta c, op transposes with BTF_TRANSPOSE_* (other flags are
    * BTF_E_INVALID_ARG); k is the inner size.
    * gram: g (columns x columns, both halves) += a^T a, in float over short runs of rows and in double beyond; runs
