@@ -40,7 +40,7 @@ BTF_PARAM(map, BTF_PARAM_CHOICE, "maps of the hemisphere", NULL, "parabolic", ma
 BTF_PARAM(edge, BTF_PARAM_INT, "edge of the maps", "texel", "32", NULL, CMF_MIN_EDGE, CMF_MAX_EDGE);
 BTF_PARAM(epsilon, BTF_PARAM_FLOAT, "least divisor of a residue, relative to the largest value of the ABRDF",
           NULL, "0.001", NULL, 1e-6, 1);
-BTF_PARAM(lambda, BTF_PARAM_FLOAT, "smoothness of homomorphic factors; of no other method", NULL, "3", NULL,
+BTF_PARAM(lambda, BTF_PARAM_FLOAT, "smoothness of homomorphic factors; of no other method", NULL, "10", NULL,
           1e-4, 1e4);
 BTF_PARAM(log_floor, BTF_PARAM_FLOAT,
           "least value to take the logarithm of, relative to the largest of the ABRDF", NULL, "0.003", NULL,
