@@ -90,6 +90,75 @@ static void missed_targets_are_told_as_asked(void **state) {
   btf_context_release(ctx);
 }
 
+/* Every direction lies where it does on its own; equal neighbours share a place, 0 and -0 do not. */
+static void equal_directions_are_located_once(void **state) {
+  enum { COUNT = BTF_RUN_DIRECTIONS, FIRST = 3 };
+  static const uint32_t lengths[] = {COUNT, 1, 7, 2}; /* of the runs */
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  btf_dirset *set;
+  (void)state;
+  assert_ok(btf_dirset_create_named(ctx, "grid:6x3", &set));
+  for (size_t k = 0; k < sizeof lengths / sizeof *lengths; k++) {
+    float column[3][FIRST + COUNT] = {{0.0f}};
+    const float *const direction[3] = {column[0], column[1], column[2]};
+    btf_interp places[COUNT], alone;
+    uint8_t run[COUNT];
+    for (uint32_t i = 0; i < COUNT; i++) {
+      const float angle = 0.09f * (float)(i / lengths[k]);
+      column[0][FIRST + i] = 0.6f * cosf(angle);
+      column[1][FIRST + i] = 0.6f * sinf(angle);
+      column[2][FIRST + i] = 0.8f;
+    }
+    btf_locate_runs(btfi_host(), set, direction, FIRST, COUNT, run, places);
+    for (uint32_t i = 0; i < COUNT; i++) {
+      const float one[3] = {column[0][FIRST + i], column[1][FIRST + i], column[2][FIRST + i]};
+      assert_int_equal(run[i], i / lengths[k]);
+      btf_dirset_locate(set, one, &alone);
+      assert_memory_equal(alone.index, places[run[i]].index, sizeof alone.index);
+      assert_memory_equal(alone.weight, places[run[i]].weight, sizeof alone.weight);
+    }
+    btf_locate_runs(btfi_host(), set, direction, FIRST, 1, run, places);
+    assert_int_equal(run[0], 0);
+  }
+  const float x[3] = {0.0f, -0.0f, -0.0f}, y[3] = {0.6f, 0.6f, 0.6f}, z[3] = {0.8f, 0.8f, 0.8f};
+  const float *const signs[3] = {x, y, z};
+  btf_interp places[3];
+  uint8_t run[3];
+  btf_locate_runs(btfi_host(), set, signs, 0, 3, run, places);
+  assert_true(run[0] == 0 && run[1] == 1 && run[2] == 1);
+  btf_dirset_release(set);
+  test_context_done(ctx, &memory);
+}
+
+static int by_value(const void *a, const void *b) {
+  const float x = *(const float *)a, y = *(const float *)b;
+  return (x > y) - (x < y);
+}
+
+/* One in a thousand samples is above the 99.9th percentile; a bin is 2^-10 of its lower edge wide at most. */
+static void the_peak_is_the_percentile(void **state) {
+  enum { SAMPLES = 25000 };
+  static float sample[SAMPLES];
+  static uint64_t histogram[BTF_PEAK_BINS];
+  uint64_t seed = 7;
+  (void)state;
+  for (int i = 0; i < SAMPLES; i++) {
+    sample[i] = (float)exp(30.0 * btf_random_unit(&seed) - 20.0);
+    histogram[btf_peak_bin(sample[i])]++;
+  }
+  qsort(sample, SAMPLES, sizeof *sample, by_value);
+  const double exact = sample[SAMPLES - 1 - SAMPLES / 1000], peak = btf_peak_of(histogram, SAMPLES);
+  assert_true(peak <= exact && exact < peak * (1.0 + 1.0 / 1024.0));
+  memset(histogram, 0, sizeof histogram);
+  histogram[btf_peak_bin(3.0f)] = 25;
+  assert_true(btf_peak_of(histogram, SAMPLES) == 0.0);
+  histogram[btf_peak_bin(3.0f)] = 26;
+  assert_true(btf_peak_of(histogram, SAMPLES) == 3.0);
+  histogram[btf_peak_bin(3.4e38f)] = 26; /* the last bin */
+  assert_true(btf_peak_of(histogram, SAMPLES) > 3.39e38);
+}
+
 static const char *const kinds[] = {"one", "two", NULL};
 BTF_PARAM(rounds, BTF_PARAM_INT, "rounds of the search", "rounds", "3", NULL, 1, 64);
 BTF_PARAM(kind, BTF_PARAM_CHOICE, "kind of the search", NULL, "two", kinds, 0, 0);
@@ -151,7 +220,8 @@ static void chunks_have_their_size(void **state) {
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(fields_are_little_endian),         cmocka_unit_test(random_numbers),
-      cmocka_unit_test(missed_targets_are_told_as_asked), cmocka_unit_test(statuses_and_parameters),
+      cmocka_unit_test(missed_targets_are_told_as_asked), cmocka_unit_test(equal_directions_are_located_once),
+      cmocka_unit_test(the_peak_is_the_percentile),       cmocka_unit_test(statuses_and_parameters),
       cmocka_unit_test(chunks_have_their_size),
   };
   return btf_run("codec_header", tests);

@@ -12,7 +12,7 @@ static const char *const map_kinds[] = {"parabolic", "cube", NULL};
 static const char *const storages[] = {"u8", "f16", "f32", NULL};
 static const char *const clusterings[] = {"kmeans", "tree", "mediancut", NULL};
 
-BTF_PARAM(factors, BTF_PARAM_INT, "3: P(light) Q(half) R(view); 4: D(difference) as well; unused with chain",
+BTF_PARAM(factors, BTF_PARAM_INT, "3: P(light) Q(half) R(view); 4: D(difference) as well; not with chain",
           NULL, "3", NULL, 3, 4);
 BTF_PARAM(chain, BTF_PARAM_STRING,
           "stages in order, with numbers of terms: io, oi, ih, oh, hd, dh (light, view, half, difference), "
@@ -40,7 +40,8 @@ BTF_PARAM(map, BTF_PARAM_CHOICE, "maps of the hemisphere", NULL, "parabolic", ma
 BTF_PARAM(edge, BTF_PARAM_INT, "edge of the maps", "texel", "32", NULL, CMF_MIN_EDGE, CMF_MAX_EDGE);
 BTF_PARAM(epsilon, BTF_PARAM_FLOAT, "least divisor of a residue, relative to the largest value of the ABRDF",
           NULL, "0.001", NULL, 1e-6, 1);
-BTF_PARAM(lambda, BTF_PARAM_FLOAT, "smoothness of homomorphic factors", NULL, "3", NULL, 1e-4, 1e4);
+BTF_PARAM(lambda, BTF_PARAM_FLOAT, "smoothness of homomorphic factors; of no other method", NULL, "10", NULL,
+          1e-4, 1e4);
 BTF_PARAM(log_floor, BTF_PARAM_FLOAT,
           "least value to take the logarithm of, relative to the largest of the ABRDF", NULL, "0.003", NULL,
           1e-6, 1);

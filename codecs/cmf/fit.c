@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* fit.c: options, the working set, and the order of things. */
+/* fit.c: the working set, and the order of things. */
 #include "fit.h"
 
 #include <math.h>
@@ -8,53 +8,6 @@
 #include "search.h"
 
 enum { SEARCH_ROWS = 64 /* that a search for nearest entries takes at once at least */ };
-
-static btf_status read_chain(btfi_cmf_fitting *f, const btf_options *options) {
-  const btf_host *host = f->host;
-  const char *text = host->option_text(options, "chain"), *wrong;
-  if (text == NULL || *text == '\0') text = host->option(options, "factors") < 4.0 ? "h,io" : "hd,io";
-  wrong = btfi_cmf_parse_chain(text, &f->settings);
-  if (wrong != NULL) return host->fail(f->ctx, BTF_E_INVALID_ARG, "cmf: chain \"%s\": %s", text, wrong);
-  if (f->settings.method != CMF_HOMOMORPHIC) return BTF_OK;
-  uint32_t maps = 0;
-  for (uint32_t s = 0; s < f->settings.stage_count; s++) {
-    if (f->settings.stage[s].terms > 1)
-      return host->fail(f->ctx, BTF_E_INVALID_ARG,
-                        "cmf: chain \"%s\": the homomorphic method has one term a stage", text);
-    maps += f->settings.stage[s].mean ? 1 : 2;
-  }
-  if (maps > CMF_HF_MAX_MAPS)
-    return host->fail(f->ctx, BTF_E_INVALID_ARG,
-                      "cmf: chain \"%s\": the homomorphic method takes at most %d factors", text,
-                      CMF_HF_MAX_MAPS);
-  return BTF_OK;
-}
-
-static btf_status read_options(btfi_cmf_fitting *f, const btf_options *options) {
-  const btf_host *host = f->host;
-  btfi_cmf_settings *s = &f->settings;
-  s->method = (uint32_t)host->option(options, "method");
-  s->residue = (uint32_t)host->option(options, "residue");
-  s->average = (uint32_t)host->option(options, "average");
-  s->symmetric = host->option(options, "symmetric") != 0.0;
-  s->grid = (uint32_t)host->option(options, "grid");
-  s->resolution = (uint32_t)host->option(options, "resolution");
-  s->map = host->option(options, "map") == 0.0 ? CMF_PARABOLIC : CMF_CUBE;
-  s->edge = (uint32_t)host->option(options, "edge");
-  s->sweeps = (uint32_t)host->option(options, "sweeps");
-  s->epsilon = host->option(options, "epsilon");
-  f->storage = (uint32_t)host->option(options, "storage");
-  f->entries = (uint32_t)host->option(options, "codebook");
-  f->clustering = (uint32_t)host->option(options, "cluster");
-  f->wanted_samples = (uint64_t)host->option(options, "samples");
-  f->rotate = host->option(options, "rotate") != 0.0;
-  f->lambda = host->option(options, "lambda");
-  f->floor = host->option(options, "log_floor");
-  f->levels = (uint32_t)host->option(options, "levels");
-  if (f->wanted_samples == 0) f->wanted_samples = UINT32_MAX;
-  f->has_target = host->option(options, "psnr") > 0.0 || host->option(options, "rmse") > 0.0;
-  return read_chain(f, options);
-}
 
 static btf_status open_data(btfi_cmf_fitting *f, const btf_dataset_desc *desc) {
   const uint32_t most = f->host->mip_count(desc->width, desc->height);
@@ -241,10 +194,9 @@ static btf_status make_store(btfi_cmf_fitting *f) {
   return f->store != NULL ? BTF_OK : BTF_E_NOMEM;
 }
 
-/* Ends the fit unless the working set holds that much more. */
-static btf_status expect_room(btfi_cmf_fitting *f, uint64_t bytes) {
+/* Ends the fit since the working set does not hold that much more. */
+static btf_status fail_for_room(btfi_cmf_fitting *f, uint64_t bytes) {
   const unsigned long long needed = (unsigned long long)((f->used + bytes) >> 10) + 1;
-  if (bytes <= btfi_cmf_left(f)) return BTF_OK;
   if (f->entries > 0)
     return f->host->fail(f->ctx, BTF_E_LIMIT, "cmf: codebooks of %u entries need a working set of %llu KiB",
                          f->entries, needed);
@@ -253,31 +205,49 @@ static btf_status expect_room(btfi_cmf_fitting *f, uint64_t bytes) {
                        needed);
 }
 
-btf_status btfi_cmf_make_room(btfi_cmf_fitting *f) {
+/* What make_room takes beside the store, and its parts. */
+typedef struct room {
+  uint64_t scales; /* values */
+  uint64_t rest;   /* what reading, or reading and clustering, need at least */
+  uint64_t all;    /* bytes */
+} room;
+
+static room plan_room(btfi_cmf_fitting *f) {
   const uint64_t texels = f->level_first[f->levels];
   const uint64_t abrdf = ((uint64_t)f->pairs * f->channels * sizeof(float) + 63) / 64 * 64;
   const uint64_t maps = ((uint64_t)f->factors * f->map_values * sizeof(float) + 63) / 64 * 64;
-  const uint64_t scales = texels * f->scales * f->channels;
+  room r = {.scales = texels * f->scales * f->channels};
   f->threads = f->host->thread_count(f->ctx);
   f->thread_bytes = f->geometry->scratch_bytes + maps + (f->rotate ? 2 * abrdf : 0);
   f->store_kind = f->storage == CMF_U8 ? CMF_U8 : CMF_F16;
   f->record_bytes = (uint64_t)f->factors * f->map_values * btfi_cmf_value_bytes(f->store_kind);
   const uint64_t arrays = f->threads * (f->thread_bytes + sizeof *f->report) +
-                          scales * sizeof *f->scale * (f->has_target ? 2 : 1) + (f->rotate ? texels : 0);
-  const uint64_t rest = f->entries > 0 ? bytes_with(f, least_samples(f)) : btfi_cmf_visit_bytes(f);
-  uint64_t most = rest;
+                          r.scales * sizeof *f->scale * (f->has_target ? 2 : 1) + (f->rotate ? texels : 0);
+  r.rest = f->entries > 0 ? bytes_with(f, least_samples(f)) : btfi_cmf_visit_bytes(f);
+  uint64_t most = r.rest;
   if (f->settings.method == CMF_HOMOMORPHIC) {
-    const uint64_t making = hf_bytes(f, true), kept = hf_bytes(f, false) + collected_bytes(f) + rest;
+    const uint64_t making = hf_bytes(f, true), kept = hf_bytes(f, false) + collected_bytes(f) + r.rest;
     most = making > kept ? making : kept;
   }
-  BTF_TRY(expect_room(f, arrays + most));
+  r.all = arrays + most;
+  return r;
+}
+
+bool btfi_cmf_has_room(btfi_cmf_fitting *f) {
+  return plan_room(f).all <= btfi_cmf_left(f);
+}
+
+btf_status btfi_cmf_make_room(btfi_cmf_fitting *f) {
+  const room r = plan_room(f);
+  const uint64_t texels = f->level_first[f->levels];
+  if (r.all > btfi_cmf_left(f)) return fail_for_room(f, r.all);
   f->scratch = take(f, f->threads, f->thread_bytes);
   f->report = take(f, f->threads, sizeof *f->report);
-  f->scale = take(f, scales, sizeof *f->scale);
+  f->scale = take(f, r.scales, sizeof *f->scale);
   if (f->scratch == NULL || f->report == NULL || f->scale == NULL) return BTF_E_NOMEM;
   memset(f->report, 0, f->threads * sizeof *f->report);
   if (f->has_target) {
-    f->kept_scale = take(f, scales, sizeof *f->kept_scale);
+    f->kept_scale = take(f, r.scales, sizeof *f->kept_scale);
     if (f->kept_scale == NULL) return BTF_E_NOMEM;
   }
   if (f->rotate) {
@@ -285,10 +255,11 @@ btf_status btfi_cmf_make_room(btfi_cmf_fitting *f) {
     if (f->angle == NULL) return BTF_E_NOMEM;
     memset(f->angle, 0, texels);
   }
-  if (f->settings.method == CMF_HOMOMORPHIC) BTF_TRY(create_hf(f, rest));
+  if (f->settings.method == CMF_HOMOMORPHIC) BTF_TRY(create_hf(f, r.rest));
   return f->entries > 0 ? make_store(f) : BTF_OK;
 }
 
+/* Of the finest level: coarser ones are other data. */
 static void log_report(const btfi_cmf_fitting *f) {
   btfi_cmf_report sum = {0};
   for (uint32_t i = 0; i < f->threads; i++) {
@@ -303,13 +274,13 @@ static void log_report(const btfi_cmf_fitting *f) {
     sum.divided += r->divided;
   }
   const double samples = fmax((double)sum.samples, 1.0);
-  f->host->log(
-      f->ctx, BTF_LOG_INFO,
-      "cmf: %u factors, before storage: rmse %.6g, mean absolute error %.6g, mean relative error %.4g; "
-      "%.3g of the cells have no valid pair, %.3g of the divisors were masked",
-      f->factors, sqrt(sum.squared_error / samples), sum.absolute_error / samples,
-      sum.relative_error / fmax((double)sum.positive, 1.0), f->geometry->invalid,
-      (double)sum.masked / fmax((double)sum.divided, 1.0));
+  f->host->log(f->ctx, BTF_LOG_INFO,
+               "cmf: %u factors, the finest level before storage: rmse %.6g, mean absolute error %.6g, mean "
+               "relative error %.4g; "
+               "%.3g of the cells have no valid pair, %.3g of the divisors were masked",
+               f->factors, sqrt(sum.squared_error / samples), sum.absolute_error / samples,
+               sum.relative_error / fmax((double)sum.positive, 1.0), f->geometry->invalid,
+               (double)sum.masked / fmax((double)sum.divided, 1.0));
 }
 
 void btfi_cmf_unprepare(btfi_cmf_fitting *f) {
@@ -350,7 +321,7 @@ static btf_status fit_all(btfi_cmf_fitting *f, const btf_options *options) {
   const double measured = 0.05;
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   BTF_TRY(f->host->dataset_describe(f->ds, &desc));
-  BTF_TRY(read_options(f, options));
+  BTF_TRY(btfi_cmf_read_options(f, options));
   BTF_TRY(open_data(f, &desc));
   if (f->has_target) {
     BTF_TRY(set_target(f, options, measured));

@@ -68,9 +68,10 @@ typedef struct btfi_cmf_fitting {
   bool has_sign[CMF_MAX_FACTORS];
   unsigned char *scratch; /* threads x thread_bytes */
   uint64_t thread_bytes;
-  btfi_cmf_report *report; /* threads */
-  float *scale;            /* texels of all levels x scales x channels */
-  unsigned char *angle;    /* texels of all levels, or NULL */
+  btfi_cmf_report
+      *report;  /* threads: what the finest level's factors lose, as of the last time they were made */
+  float *scale; /* texels of all levels x scales x channels */
+  unsigned char *angle; /* texels of all levels, or NULL */
 
   unsigned char *table[CMF_MAX_LEVELS][CMF_MAX_FACTORS]; /* payload without codebooks */
   unsigned char *store;                                  /* capacity records of factors, for codebooks */
@@ -88,6 +89,9 @@ static inline uint64_t btfi_cmf_level_texels(const btfi_cmf_fitting *f, uint32_t
   return f->level_first[level + 1] - f->level_first[level];
 }
 
+/* Reads the options of a fit; refuses those that have no effect beside others. */
+btf_status btfi_cmf_read_options(btfi_cmf_fitting *f, const btf_options *options);
+
 /* Factors the chosen texels of a level, each into its place: the record of that number, or without codebooks
  * the texel's place in the payload. */
 btf_status btfi_cmf_factor_texels(btfi_cmf_fitting *f, uint32_t level, const btfi_cmf_choice *choice,
@@ -100,6 +104,8 @@ btf_status btfi_cmf_write(btfi_cmf_fitting *f, double from, double to);
 btf_status btfi_cmf_prepare_geometry(btfi_cmf_fitting *f, const btf_dataset_desc *desc, double from,
                                      double to);
 btf_status btfi_cmf_make_room(btfi_cmf_fitting *f);
+/* Whether it would succeed, as far as the working set goes. */
+bool btfi_cmf_has_room(btfi_cmf_fitting *f);
 void btfi_cmf_unprepare(btfi_cmf_fitting *f);
 /* What reading needs of the working set: an ABRDF, and for averages sums in double and one more for each
  * thread. */

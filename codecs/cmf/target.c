@@ -210,26 +210,32 @@ static btf_status try_codebooks(search *s, double from, double to, bool *found) 
   return BTF_OK;
 }
 
-/* Makes what all sizes with the present number of terms need, with room for trials. */
-static btf_status prepare(search *s, double from, double to) {
+/* Makes what all sizes with the present number of terms need, with room for trials; unless `fits` is NULL
+ * only if the working set holds it. */
+static btf_status prepare(search *s, double from, double to, bool *fits) {
   btfi_cmf_fitting *f = s->f;
   f->entries = s->most_entries;
   btfi_cmf_unprepare(f);
   BTF_TRY(btfi_cmf_prepare_geometry(f, s->desc, from, to));
   f->used += s->sizes > 0 ? 2 * trial_bytes(f, s->most_entries) : trial_bytes(f, 0);
+  if (fits != NULL) {
+    *fits = btfi_cmf_has_room(f);
+    if (!*fits) return BTF_OK;
+  }
   return btfi_cmf_make_room(f);
 }
 
 /* With one number of terms. Maps of every texel's own tell whether a codebook can do; where they would not
- * fit the working set, the codebooks are tried anyway. */
-static btf_status try_terms(search *s, double from, double to, bool *met) {
+ * fit the working set, the codebooks are tried anyway. `fits_terms` as in prepare. */
+static btf_status try_terms(search *s, double from, double to, bool *fits_terms, bool *met) {
   btfi_cmf_fitting *f = s->f;
   const double prepared = from + 0.05 * (to - from), owned = from + 0.6 * (to - from);
   bool own = true;
-  BTF_TRY(prepare(s, from, prepared));
+  *met = false;
+  BTF_TRY(prepare(s, from, prepared, fits_terms));
+  if (fits_terms != NULL && !*fits_terms) return BTF_OK;
   const bool fits = s->sizes == 0 || (f->capacity >= f->level_first[f->levels] &&
                                       btfi_cmf_left(f) >= trial_bytes(f, 0) + btfi_cmf_visit_bytes(f));
-  *met = false;
   if (fits) BTF_TRY(try_size(s, 0, prepared, owned, &own));
   if (own) BTF_TRY(try_codebooks(s, owned, to, met));
   *met = *met || (fits && own);
@@ -248,7 +254,7 @@ static btf_status write_result(search *s, bool met, double from, double to) {
   trial_clear(&s->now);
   if (!met && s->stage != NULL && s->stage->terms != s->terms) {
     s->stage->terms = s->terms;
-    BTF_TRY(prepare(s, from, from + 0.1 * (to - from)));
+    BTF_TRY(prepare(s, from, from + 0.1 * (to - from), NULL));
   }
   f->entries = met ? 0 : s->entries;
   return btfi_cmf_write(f, from + 0.1 * (to - from), to);
@@ -271,9 +277,9 @@ static btf_status run(search *s, double from) {
   for (uint32_t terms = first; terms <= last && !met; terms++) {
     const double to = from + (found - from) / (last - terms + 1);
     if (s->stage != NULL) s->stage->terms = terms;
-    const btf_status status = try_terms(s, from, to, &met);
-    if (status == BTF_E_LIMIT && terms > first) break; /* more terms do not fit the working set */
-    BTF_TRY(status);
+    bool fits = true;
+    BTF_TRY(try_terms(s, from, to, terms > first ? &fits : NULL, &met));
+    if (!fits) break;
     from = to;
   }
   if (!met)

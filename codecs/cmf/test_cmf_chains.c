@@ -57,6 +57,103 @@ static void test_order_and_symmetry(void **unused) {
   assert_near(flat_same, flat_separate, 1e-3);
 }
 
+/* FAC08: an edge that factors of light and view on their own hold exactly, P(l) R(v): what is seen depends on
+ * the view alone. A symmetric factor can do no better than the symmetric matrix of rank one nearest to P R^T.
+ * Between the unit vectors p and r of these, with <p, r> = c, the symmetric part of p r^T has the eigenvalue
+ * (1 + c) / 2, so that matrix leaves sqrt(1 - ((1 + c) / 2)^2) of the whole: no map can leave less at the
+ * samples. */
+static double edge_light(const float l[3]) {
+  return 0.2 + 0.8 * (double)l[2];
+}
+static double edge_view(const float v[3]) {
+  return 0.05 + 0.95 / (1.0 + exp(-8.0 * (double)v[0]));
+}
+static double edge_product(const float l[3], const float v[3]) {
+  return edge_light(l) * edge_view(v);
+}
+
+static void test_edge_is_not_symmetric(void **unused) {
+  (void)unused;
+  btfi_cmf_settings s = settings_of_chain("io");
+  s.edge = 128; /* no two directions share a texel: as exact as in test_terms_are_singular_pairs */
+  bench b = bench_open("ubo81", &s);
+  const float *xyz = btf_dirset_directions(b.set);
+  double pp = 0.0, rr = 0.0, pr = 0.0;
+  for (uint32_t i = 0; i < b.count; i++) {
+    const double p = edge_light(xyz + 3 * i), r = edge_view(xyz + 3 * i);
+    pp += p * p;
+    rr += r * r;
+    pr += p * r;
+  }
+  const double kept = 0.5 * (1.0 + pr / sqrt(pp * rr)), bound = sqrt(1.0 - kept * kept);
+  bench_close(&b);
+  const double separate = plant_and_factor("ubo81", &s, edge_product);
+  s.symmetric = true;
+  const double same = plant_and_factor("ubo81", &s, edge_product);
+  print_message("an edge: separate %.1e, symmetric %.4f, at least %.4f\n", separate, same, bound);
+  assert_true(bound > 0.1);
+  assert_true(separate < 1e-6);
+  /* Sums of 6561 floats of the same sign, and lookups in floats. */
+  assert_true(same >= bound * (1.0 - 1e-5));
+}
+
+/* PAR05: cell (m, n) of a stage's matrix is one pair of directions, and that pair's projections are sample m
+ * of the rows and n of the columns again, for every pair of projections and both kinds of tables. */
+static uint32_t sample_of(const btfi_cmf_domain *domain, const float direction[3]) {
+  btfi_cmf_tap tap;
+  uint32_t best = 0;
+  if (domain->native) return btf_dirset_nearest(domain->set, direction);
+  btfi_cmf_map_locate(&domain->map, direction, &tap);
+  for (uint32_t i = 1; i < 4; i++)
+    if (tap.weight[i] > tap.weight[best]) best = i;
+  return tap.index[best];
+}
+
+static bool direction_of_sample(const btfi_cmf_domain *domain, uint32_t sample, float direction[3]) {
+  if (!domain->native) return btfi_cmf_map_direction(&domain->map, sample, direction);
+  memcpy(direction, btf_dirset_directions(domain->set) + 3 * (size_t)sample, 3 * sizeof *direction);
+  return true;
+}
+
+static void check_matrix(const char *chain, uint32_t grid) {
+  btfi_cmf_settings s = settings_of_chain(chain);
+  s.grid = grid;
+  s.resolution = 12;
+  bench b = bench_open("grid:8x4", &s);
+  const btfi_cmf_stage_geometry *stage = &b.g->stage[0];
+  uint32_t valid = 0;
+  for (uint32_t m = 0; m < stage->rows; m++)
+    for (uint32_t n = 0; n < stage->columns; n++) {
+      float first[3], second[3], light[3], view[3], again[2][3];
+      const bool exists = direction_of_sample(&stage->side[0].domain, m, first) &&
+                          direction_of_sample(&stage->side[1].domain, n, second);
+      if (!exists || !stage->stage.pair->invert(first, second, light, view)) {
+        if (stage->cell_weight != NULL)
+          assert_true(stage->cell_weight[(size_t)m * stage->columns + n] == 0.0f);
+        continue;
+      }
+      stage->stage.pair->project(light, view, again[0], again[1]);
+      if (sample_of(&stage->side[0].domain, again[0]) != m ||
+          sample_of(&stage->side[1].domain, again[1]) != n)
+        fail_msg("%s: cell %u, %u is another one's pair", chain, m, n);
+      valid++;
+    }
+  /* Of the directions of the data every pair is there; of half vectors those that leave both above the
+   * horizon. */
+  if (stage->native) assert_int_equal(valid, b.count * b.count);
+  assert_true(valid >= stage->rows);
+  bench_close(&b);
+}
+
+static void test_matrix_is_invertible(void **unused) {
+  static const char *const names[] = {"io", "oi", "ih", "oh", "hd", "dh"};
+  (void)unused;
+  for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
+    check_matrix(names[i], CMF_ANGULAR);
+    check_matrix(names[i], CMF_PARABOLIC);
+  }
+}
+
 /* FAC07: chains of more stages and of one-sided ones; several terms lower the error; FAC02: non-negative
  * terms. */
 static void test_general_chains(void **unused) {
@@ -155,6 +252,8 @@ int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_chains),
       cmocka_unit_test(test_order_and_symmetry),
+      cmocka_unit_test(test_edge_is_not_symmetric),
+      cmocka_unit_test(test_matrix_is_invertible),
       cmocka_unit_test(test_general_chains),
       cmocka_unit_test(test_degenerate_data),
       cmocka_unit_test(test_preparing_can_be_cancelled),

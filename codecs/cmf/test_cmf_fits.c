@@ -25,6 +25,11 @@ const char *const cmf_cases[CMF_CASES] = {
     "codebook=5 edge=9 average=uniform grid=parabolic residue=ratio symmetric=1 chain=h,io samples=20",
 };
 
+void cmf_case_with(size_t index, const char *of_stages, const char *others, char *text, size_t size) {
+  const bool homomorphic = strstr(cmf_cases[index], "homomorphic") != NULL;
+  snprintf(text, size, "%s %s %s", cmf_cases[index], homomorphic ? "" : of_stages, others);
+}
+
 /* A tilted glossy facet with a dark side and a side that is hidden. */
 static float facet(const float n[3], float hidden, const float l[3], const float v[3], uint32_t c) {
   float h[3];

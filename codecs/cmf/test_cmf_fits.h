@@ -42,5 +42,7 @@ static inline const btfi_cmf_state *state_of(const btf_model *model) {
 /* Settings that between them reach every storage, method and kind of codebook. */
 enum { CMF_CASES = 8 };
 extern const char *const cmf_cases[CMF_CASES];
+/* One of them with more options; `of_stages` are those that homomorphic factors do not have. */
+void cmf_case_with(size_t index, const char *of_stages, const char *others, char *text, size_t size);
 
 #endif

@@ -127,7 +127,7 @@ static study quantise(btf_context *ctx, const traced *m, const char *settings) {
 /* Figure 3, in pictures from the top: bytes cost chained factors next to nothing and homomorphic ones much
  * more, since the largest value of a map decides what is left for the others. The paper floors no logarithm;
  * 1e-4 of the largest sample keeps nearly all of the range. lambda is the half decade of least RMS in floats
- * on each of the materials. The rings range least, and lose only with a lambda of 0.1. */
+ * on each of the materials; there the rings, which range least, lose nothing. With a third of it all lose. */
 static void test_methods_on_materials(void **unused) {
   (void)unused;
   const char *const names[] = {"checker", "rings", "tissue"};
@@ -137,6 +137,7 @@ static void test_methods_on_materials(void **unused) {
     print_message("%s, 50 x 50 directions: RMS, mean absolute, mean relative error in floats\n", names[i]);
     const study chained = quantise(ctx, &m, "residue=ratio sweeps=0 average=uniform");
     const study logarithms = quantise(ctx, &m, "method=homomorphic lambda=0.3 log_floor=0.0001");
+    const study rough = quantise(ctx, &m, "method=homomorphic lambda=0.1 log_floor=0.0001");
     btf_model *model = fit(ctx, &m, "", "f32");
     const errors weighted = measure(model, &m);
     btf_model_release(model);
@@ -144,7 +145,11 @@ static void test_methods_on_materials(void **unused) {
                   weighted.relative);
     assert_true(chained.drop <= 1.0 && chained.picture_drop <= 1.0);
     assert_true(logarithms.range >= 1.25 * chained.range);
-    if (i != 1) { /* errors at least double: a bit is lost or more */
+    /* FAC10 as it stands, on every material: errors in pictures at least double, a bit or more is lost, and
+     * maps range at least twice as far. */
+    assert_true(rough.picture_drop >= 6.02);
+    assert_true(rough.range >= 2.0 * chained.range);
+    if (i != 1) {
       assert_true(logarithms.picture_drop >= 6.02);
       assert_true(logarithms.range >= 2.0 * chained.range);
     }

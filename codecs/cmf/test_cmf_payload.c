@@ -14,7 +14,7 @@ static void with_models(void (*check)(hostile_payload *payload)) {
   material m = material_create(ctx, BUMPS, "grid:4x2", 4, 3, 3);
   for (size_t k = 0; k < CMF_CASES; k++) {
     char settings[160];
-    snprintf(settings, sizeof settings, "%s resolution=6 edge=16 levels=2", cmf_cases[k]);
+    cmf_case_with(k, "resolution=6", "edge=16 levels=2", settings, sizeof settings);
     hostile_with(ctx, &btf_codec_cmf, cmf_fit(ctx, &m, settings), check);
   }
   material_release(&m);

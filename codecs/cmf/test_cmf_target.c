@@ -109,22 +109,23 @@ static void test_targets(void **unused) {
 static void test_target_out_of_reach(void **unused) {
   (void)unused;
   const struct {
-    const char *settings, *best;
-  } cases[] = {{"rmse=1e-9 max_terms=3", "codebook=0 chain=h,io:3"},
-               {"psnr=200 max_codebook=4 chain=i,o", "codebook=0 chain=i,o"},
-               {"rmse=1e-9 method=homomorphic max_codebook=0", "codebook=0 method=homomorphic"}};
+    const char *settings, *best, *others;
+  } cases[] = {
+      {"rmse=1e-9 max_terms=3", "codebook=0 chain=h,io:3", "edge=12 storage=f32 resolution=8"},
+      {"psnr=200 max_codebook=4 chain=i,o", "codebook=0 chain=i,o", "edge=12 storage=f32 resolution=8"},
+      {"rmse=1e-9 method=homomorphic max_codebook=0", "codebook=0 method=homomorphic",
+       "edge=12 storage=f32"}};
   suite_warnings warnings = {"reach", 0};
   btf_context *ctx = suite_context_counting(&warnings);
   material m = material_create(ctx, BUMPS, "grid:5x3", 4, 3, 2);
   for (size_t i = 0; i < 3; i++) {
     char settings[128];
-    snprintf(settings, sizeof settings, "%s edge=12 resolution=8 storage=f32", cases[i].settings);
+    snprintf(settings, sizeof settings, "%s %s", cases[i].settings, cases[i].others);
     warnings.count = 0;
     warnings.words = strncmp(settings, "psnr", 4) == 0 ? "reach a psnr of" : "reach an rmse of";
     btf_model *model = cmf_fit(ctx, &m, settings);
     assert_int_equal(warnings.count, 1);
-    assert_relative(rmse_of(model, &m), rmse_with(ctx, &m, cases[i].best, "edge=12 resolution=8 storage=f32"),
-                    1e-12);
+    assert_relative(rmse_of(model, &m), rmse_with(ctx, &m, cases[i].best, cases[i].others), 1e-12);
     btf_model_release(model);
   }
   warnings.count = 0;
@@ -177,11 +178,48 @@ static void test_small_working_set(void **unused) {
   test_context_done(ctx, &memory);
 }
 
+static void count_errors(void *user, int32_t level, btf_status code, const char *message) {
+  (void)code;
+  (void)message;
+  *(int *)user += level == BTF_LOG_ERROR;
+}
+
+/* Terms that the working set does not hold are not tried: that is no error, of which neither the log nor the
+ * message of a fit that succeeds may tell. */
+static void test_terms_that_do_not_fit(void **unused) {
+  (void)unused;
+  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
+  btf_context *ctx;
+  int errors = 0, fewer = 0, all = 0;
+  desc.log = count_errors;
+  desc.log_user = &errors;
+  assert_ok(btf_context_create(&desc, &ctx));
+  material m = material_create(ctx, BUMPS, "grid:5x3", 8, 6, 3);
+  btf_job job = BTF_JOB_INIT;
+  for (uint64_t kib = 2048; kib <= 4096; kib += kib / 12) {
+    btf_model *model;
+    errors = 0;
+    job.max_working_set = kib << 10;
+    const btf_status status =
+        cmf_try_fit(ctx, &m, "rmse=1e-9 max_terms=4 resolution=8 levels=1 edge=16", &job, &model);
+    assert_true(status == BTF_OK || status == BTF_E_LIMIT);
+    assert_int_equal(errors, status != BTF_OK);
+    if (status != BTF_OK) continue;
+    fewer += terms_of(model) < 4;
+    all += terms_of(model) == 4;
+    btf_model_release(model);
+  }
+  assert_true(fewer > 0 && all > 0);
+  material_release(&m);
+  btf_context_release(ctx);
+}
+
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_targets),
       cmocka_unit_test(test_target_out_of_reach),
       cmocka_unit_test(test_small_working_set),
+      cmocka_unit_test(test_terms_that_do_not_fit),
   };
   return btf_run("cmf_target", tests);
 }

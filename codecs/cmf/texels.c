@@ -22,6 +22,7 @@ typedef struct visit {
   const btfi_cmf_choice *choice;
   uint32_t level;
   uint64_t first, count; /* places that are collected, for the homomorphic method */
+  bool reports;          /* errors are those of the finest level, each texel once: not of a sample of it */
 } visit;
 
 /* Parts of a thread's scratch. */
@@ -105,6 +106,11 @@ static const float *turn(btfi_cmf_fitting *f, uint32_t level, uint64_t texel, co
   return turned;
 }
 
+/* Where a thread reports to; `unused` takes what is not reported. */
+static btfi_cmf_report *report_of(const visit *v, uint32_t thread, btfi_cmf_report *unused) {
+  return v->reports ? &v->f->report[thread] : unused;
+}
+
 static void visit_texel(void *user, uint32_t level, uint32_t x, uint32_t y, const float *abrdf,
                         uint32_t thread) {
   const visit *v = user;
@@ -121,7 +127,8 @@ static void visit_texel(void *user, uint32_t level, uint32_t x, uint32_t y, cons
     return;
   }
   const float *turned = turn(f, level, texel, abrdf, p.half_way, p.turned);
-  btfi_cmf_factor_abrdf(f->geometry, f->channels, turned, p.factor, p.maps, &f->report[thread]);
+  btfi_cmf_report unused = {0};
+  btfi_cmf_factor_abrdf(f->geometry, f->channels, turned, p.factor, p.maps, report_of(v, thread, &unused));
   take_maps(f, level, texel, place, p.maps);
 }
 
@@ -139,8 +146,9 @@ static void take_solved(void *job, uint32_t index, uint32_t thread) {
   btfi_cmf_fitting *f = s->v->f;
   const uint64_t place = s->first + index, texel = s->texel[place];
   float *maps = s->maps + (size_t)index * f->factors * f->map_values;
-  btfi_cmf_measure(f->geometry, f->channels, f->collected + place * f->pairs * f->channels,
-                   parts_of(f, thread).factor, maps, &f->report[thread]);
+  if (s->v->reports)
+    btfi_cmf_measure(f->geometry, f->channels, f->collected + place * f->pairs * f->channels,
+                     parts_of(f, thread).factor, maps, &f->report[thread]);
   take_maps(f, s->v->level, texel, s->v->first + place, maps);
 }
 
@@ -180,7 +188,8 @@ static btf_status solve_texels(visit *v, uint64_t *texel, float *maps, double fr
 
 btf_status btfi_cmf_factor_texels(btfi_cmf_fitting *f, uint32_t level, const btfi_cmf_choice *choice,
                                   double from, double to) {
-  visit v = {f, choice, level, 0, choice->count};
+  visit v = {f, choice, level, 0, choice->count, level == 0 && !choice->sampled};
+  if (v.reports && choice->first == 0) memset(f->report, 0, f->threads * sizeof *f->report);
   if (f->hf == NULL)
     return f->host->visit_abrdfs(f->ctx, f->ds, level, btfi_cmf_left(f), visit_texel, &v, f->job, from, to,
                                  "factoring");

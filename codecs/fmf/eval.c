@@ -9,7 +9,7 @@
 #include <btf/btf_sampling.h>
 
 enum {
-  BATCH = 64,                   /* queries located together */
+  BATCH = BTF_RUN_DIRECTIONS,   /* queries located together */
   PREFETCH_AHEAD = 6,           /* queries between asking for rows and using them */
   RING = 8,                     /* taps alive; a power of two above PREFETCH_AHEAD */
   SCRATCH = 8 * FMF_MAX_COLUMNS /* floats for blended rows of U that several queries share */
@@ -173,29 +173,6 @@ typedef struct batch_front {
   btf_interp light[BATCH], view[BATCH];
 } batch_front;
 
-static bool same_bits(float a, float b) {
-  return memcmp(&a, &b, sizeof a) == 0;
-}
-
-/* Locates `count` directions from `first` on, each run of equal ones once; run[i] is the place of the i-th.
- */
-static void locate_runs(const btfi_fmf_state *s, const btf_dirset *set, const float *const direction[3],
-                        size_t first, uint32_t count, uint8_t *run, btf_interp *out) {
-  float x[BATCH], y[BATCH], z[BATCH];
-  uint32_t runs = 0;
-  for (uint32_t i = 0; i < count; i++) {
-    x[runs] = direction[0][first + i];
-    y[runs] = direction[1][first + i];
-    z[runs] = direction[2][first + i];
-    /* The place stays free when it repeats the one before. */
-    const bool repeats = i > 0 && same_bits(x[runs], x[runs - 1]) && same_bits(y[runs], y[runs - 1]) &&
-                         same_bits(z[runs], z[runs - 1]);
-    runs += !repeats;
-    run[i] = (uint8_t)(runs - 1);
-  }
-  s->host->dirset_locate_n(set, runs, x, y, z, out);
-}
-
 static void locate_more(batch_front *front) {
   const btfi_fmf_state *s = front->state;
   const btf_batch *batch = front->batch;
@@ -203,8 +180,8 @@ static void locate_more(batch_front *front) {
   const uint32_t count = left < BATCH ? (uint32_t)left : (uint32_t)BATCH;
   front->first = front->located;
   front->located += count;
-  locate_runs(s, s->light_set, batch->light, front->first, count, front->light_run, front->light);
-  locate_runs(s, s->view_set, batch->view, front->first, count, front->view_run, front->view);
+  btf_locate_runs(s->host, s->light_set, batch->light, front->first, count, front->light_run, front->light);
+  btf_locate_runs(s->host, s->view_set, batch->view, front->first, count, front->view_run, front->view);
 }
 
 static bool same_indices(const btf_interp *a, const btf_interp *b) {

@@ -402,6 +402,49 @@ static void test_cost(void **unused) {
   test_context_done(ctx, &memory);
 }
 
+/* ANA12: of every kind, number of lobes and way with colours. A texel is read four times: the diffuse albedo,
+ * and of each lobe its shape (of a diagonal matrix 3 and an exponent, of a full one 9, of Ward's two
+ * roughnesses, of the others an exponent) and its albedo. Every lobe costs the same again, and more
+ * parameters cost no less. */
+static void test_cost_of_every_kind(void **unused) {
+  static const struct {
+    const char *name;
+    uint32_t shape;
+  } kinds[] = {{"lewis", 1}, {"phong", 1}, {"blinn_phong", 1}, {"ward", 2}, {"diagonal", 4}, {"full", 10}};
+  enum { KINDS = 6, LOBES = 4 };
+  (void)unused;
+  btf_context *ctx = test_context(&memory);
+  material m = noisy(ctx, "grid:4x2", 2, 2, 3, BTF_QUANTITY_BRDF, BTF_WRAP_PERIODIC);
+  for (uint32_t by_channel = 0; by_channel < 2; by_channel++) {
+    double flops[KINDS][LOBES];
+    for (uint32_t k = 0; k < KINDS; k++)
+      for (uint32_t lobes = 1; lobes <= LOBES; lobes++) {
+        char settings[80];
+        snprintf(settings, sizeof settings, "kind=%s lobes=%u color=%s levels=1 storage=f32", kinds[k].name,
+                 lobes, by_channel ? "channel" : "luminance");
+        btf_model *model = lafortune_fit(ctx, &m, settings);
+        btf_eval_cost cost = BTF_EVAL_COST_INIT;
+        assert_ok(btf_model_cost(model, 0, &cost));
+        const uint32_t shapes = (by_channel ? 3 : 1) * lobes * kinds[k].shape, albedos = 3 * (1 + lobes);
+        assert_true(cost.values == 4.0 * (shapes + albedos) && cost.bytes == 4.0 * cost.values);
+        assert_true(cost.rows == 4.0);
+        flops[k][lobes - 1] = cost.flops;
+        btf_model_release(model);
+      }
+    for (uint32_t k = 0; k < KINDS; k++)
+      for (uint32_t lobes = 1; lobes <= LOBES; lobes++) {
+        const double *const of_kind = flops[k];
+        if (lobes > 1) assert_true(of_kind[lobes - 1] > of_kind[lobes - 2]);
+        if (lobes > 2)
+          assert_near(of_kind[lobes - 1] - of_kind[lobes - 2], of_kind[1] - of_kind[0], 1e-9 * of_kind[0]);
+        if (k > 0) assert_true(of_kind[lobes - 1] >= flops[k - 1][lobes - 1]);
+        if (k > 3) assert_true(of_kind[lobes - 1] > flops[k - 1][lobes - 1]);
+      }
+  }
+  material_release(&m);
+  test_context_done(ctx, &memory);
+}
+
 /* ---- strange data ---- */
 
 static void plant_constant(uint32_t x, uint32_t y, planted *out) {
@@ -578,6 +621,7 @@ int main(void) {
                                      cmocka_unit_test(test_sizes),
                                      cmocka_unit_test(test_level_refit),
                                      cmocka_unit_test(test_cost),
+                                     cmocka_unit_test(test_cost_of_every_kind),
                                      cmocka_unit_test(test_strange_data),
                                      cmocka_unit_test(test_advice),
                                      cmocka_unit_test(test_budget_and_threads),

@@ -6,7 +6,7 @@
 
 #include <math.h>
 
-enum { BATCH = 64, SCRATCH = LAPLACIAN_MAX_VALUES + 4 * LAPLACIAN_SLACK };
+enum { BATCH = BTF_RUN_DIRECTIONS, SCRATCH = LAPLACIAN_MAX_VALUES + 4 * LAPLACIAN_SLACK };
 
 uint32_t btfi_laplacian_first_level(float lod, uint32_t levels, float *weight) {
   btf_level_pair pair;
@@ -163,29 +163,6 @@ void btfi_laplacian_eval(const void *state, const btf_query *query, float *out) 
 
 /* ---- batches ---- */
 
-static bool same_bits(float a, float b) {
-  return memcmp(&a, &b, sizeof a) == 0;
-}
-
-/* Locates `count` directions from `first` on, each run of equal ones once; run[i] is the place of the i-th.
- */
-static void locate_runs(const btfi_laplacian_state *s, const btf_dirset *set, const float *const direction[3],
-                        size_t first, uint32_t count, uint8_t *run, btf_interp *out) {
-  float x[BATCH], y[BATCH], z[BATCH];
-  uint32_t runs = 0;
-  for (uint32_t i = 0; i < count; i++) {
-    x[runs] = direction[0][first + i];
-    y[runs] = direction[1][first + i];
-    z[runs] = direction[2][first + i];
-    /* The place stays free when it repeats the one before. */
-    const bool repeats = i > 0 && same_bits(x[runs], x[runs - 1]) && same_bits(y[runs], y[runs - 1]) &&
-                         same_bits(z[runs], z[runs - 1]);
-    runs += !repeats;
-    run[i] = (uint8_t)(runs - 1);
-  }
-  s->host->dirset_locate_n(set, runs, x, y, z, out);
-}
-
 static void batch_direction(const btf_batch *batch, size_t q, float light[3], float view[3]) {
   for (int k = 0; k < 3; k++) {
     light[k] = batch->light[k][q];
@@ -204,8 +181,8 @@ static void evaluate_block(const btfi_laplacian_state *s, const btf_batch *batch
   btfi_laplacian_rows rows = {.count = 0};
   uint32_t kept = UINT32_MAX;
   float luma = 0.0f;
-  locate_runs(s, s->light_set, batch->light, begin, count, light_run, light);
-  locate_runs(s, s->view_set, batch->view, begin, count, view_run, view);
+  btf_locate_runs(s->host, s->light_set, batch->light, begin, count, light_run, light);
+  btf_locate_runs(s->host, s->view_set, batch->view, begin, count, view_run, view);
   for (uint32_t i = 0; i < count; i++) {
     const size_t q = begin + i;
     const bool same = i > 0 && light_run[i] == light_run[i - 1] && view_run[i] == view_run[i - 1];

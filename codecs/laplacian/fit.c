@@ -10,7 +10,7 @@
 /* A component below this share of the norm of the data is rounding error. */
 #define NEGLIGIBLE 3e-7
 
-enum { MOST_BANDS = 3 * LAPLACIAN_MAX_LEVELS, HISTOGRAM_SHIFT = 13, HISTOGRAM = 1 << (31 - HISTOGRAM_SHIFT) };
+enum { MOST_BANDS = 3 * LAPLACIAN_MAX_LEVELS };
 
 /* Bands that a reading keeps, and what the first one measures. */
 typedef struct reading {
@@ -20,7 +20,7 @@ typedef struct reading {
   double *mean;          /* pairs x 3, of the low-pass image */
   double *squared_means; /* pairs x levels x 3, of the other bands */
   double *energy;        /* pairs */
-  uint64_t *histogram;   /* threads x HISTOGRAM, or NULL */
+  uint64_t *histogram;   /* threads x BTF_PEAK_BINS, or NULL */
 } reading;
 
 float btfi_laplacian_round(uint32_t storage, float value) {
@@ -40,12 +40,9 @@ static void measure_samples(reading *r, uint64_t pair, const float *rgb, uint64_
   for (uint64_t i = 0; i < values; i++) energy += (double)rgb[i] * rgb[i];
   r->energy[pair] = energy;
   if (r->histogram == NULL) return;
-  uint64_t *bins = r->histogram + (uint64_t)thread * HISTOGRAM;
-  for (uint64_t i = 0; i < values; i++) {
-    uint32_t bits;
-    memcpy(&bits, &rgb[i], sizeof bits);
-    bins[bits >> 31 ? 0 : bits >> HISTOGRAM_SHIFT]++;
-  }
+  uint64_t *bins = r->histogram + (uint64_t)thread * BTF_PEAK_BINS;
+  for (uint64_t i = 0; i < values; i++)
+    if (rgb[i] > 0.0f) bins[btf_peak_bin(rgb[i])]++;
 }
 
 static void read_image(void *user, const btfi_laplacian_source *s, uint64_t pair, const float *rgb,
@@ -75,7 +72,7 @@ static void read_image(void *user, const btfi_laplacian_source *s, uint64_t pair
 
 /* Bytes of what the first reading measures. */
 static uint64_t survey_bytes(const btfi_laplacian_fitting *f, const btf_options *options) {
-  const uint64_t bins = (uint64_t)f->host->thread_count(f->ctx) * HISTOGRAM;
+  const uint64_t bins = (uint64_t)f->host->thread_count(f->ctx) * BTF_PEAK_BINS;
   return f->source.pairs * (4 + 3 * (uint64_t)f->head.levels) * sizeof(double) +
          (f->host->option(options, "psnr") > 0.0 ? bins * sizeof(uint64_t) : 0);
 }
@@ -96,20 +93,12 @@ static void free_reading(btfi_laplacian_fitting *f, reading *r) {
 
 /* ---- what the first reading tells ---- */
 
-/* Lower edge of the bin that holds the 99.9th percentile. */
-static double find_peak(const btfi_laplacian_fitting *f, const reading *r, double samples) {
-  double beyond = 0.0;
-  for (uint32_t bin = HISTOGRAM; bin-- > 0;) {
-    for (uint32_t t = 0; t < f->host->thread_count(f->ctx); t++)
-      beyond += (double)r->histogram[(uint64_t)t * HISTOGRAM + bin];
-    if (beyond > samples / 1000.0) {
-      const uint32_t bits = bin << HISTOGRAM_SHIFT;
-      float edge;
-      memcpy(&edge, &bits, sizeof edge);
-      return edge;
-    }
-  }
-  return 0.0;
+/* Adds up what the threads have counted. */
+static double find_peak(const btfi_laplacian_fitting *f, const reading *r, uint64_t samples) {
+  for (uint32_t t = 1; t < f->host->thread_count(f->ctx); t++)
+    for (uint32_t bin = 0; bin < BTF_PEAK_BINS; bin++)
+      r->histogram[bin] += r->histogram[(uint64_t)t * BTF_PEAK_BINS + bin];
+  return btf_peak_of(r->histogram, samples);
 }
 
 /* Fits the means of the low-pass image and tells what they leave. */
@@ -170,7 +159,7 @@ static btf_status learn(btfi_laplacian_fitting *f, const btf_dataset_desc *desc,
     head->mean_norm[k / 3][k % 3] = sqrt(head->mean_norm[k / 3][k % 3] / (double)pairs);
   if (rmse > 0.0) f->target = rmse * rmse * samples;
   if (psnr > 0.0) {
-    f->peak = find_peak(f, r, samples);
+    f->peak = find_peak(f, r, (uint64_t)samples);
     const double target = f->peak * f->peak * pow(10.0, -psnr / 10.0) * samples;
     if (!(rmse > 0.0) || target < f->target) {
       f->target = target;
@@ -342,7 +331,7 @@ static btf_status read_and_decompose(btfi_laplacian_fitting *f, const btf_datase
     r->energy = host->alloc(f->ctx, pairs, sizeof *r->energy);
     if (r->mean == NULL || r->squared_means == NULL || r->energy == NULL) status = BTF_E_NOMEM;
     if (status == BTF_OK && host->option(options, "psnr") > 0.0) {
-      const uint64_t bins = (uint64_t)host->thread_count(f->ctx) * HISTOGRAM;
+      const uint64_t bins = (uint64_t)host->thread_count(f->ctx) * BTF_PEAK_BINS;
       r->histogram = host->alloc(f->ctx, bins, sizeof *r->histogram);
       if (r->histogram != NULL) memset(r->histogram, 0, bins * sizeof *r->histogram);
       if (r->histogram == NULL) status = BTF_E_NOMEM;

@@ -8,9 +8,9 @@
 #include <btf/btf_sampling.h>
 
 enum {
-  BATCH = 64,         /* queries located together */
-  PREFETCH_AHEAD = 4, /* queries between asking for rows and using them */
-  RING = 8            /* taps alive; a power of two above PREFETCH_AHEAD */
+  BATCH = BTF_RUN_DIRECTIONS, /* queries located together */
+  PREFETCH_AHEAD = 4,         /* queries between asking for rows and using them */
+  RING = 8                    /* taps alive; a power of two above PREFETCH_AHEAD */
 };
 
 /* Two rows of texels and their weights: all queries of a scan line share them. */
@@ -131,49 +131,16 @@ typedef struct batch_front {
   btf_interp light[BATCH], view[BATCH];
 } batch_front;
 
-static uint32_t bits_of(const float *value) {
-  uint32_t bits;
-  memcpy(&bits, value, sizeof bits);
-  return bits;
-}
-
-/* Locates `count` directions from `first` on, each run of equal ones once; run[i] is the place of the i-th.
- */
-static void locate_runs(const btfi_lpca_state *s, const btf_dirset *set, const float *const direction[3],
-                        size_t first, uint32_t count, uint8_t *run, btf_interp *out) {
-  const float *const x = direction[0] + first, *const y = direction[1] + first,
-                     *const z = direction[2] + first;
-  uint32_t differs[BATCH], runs = 1;
-  differs[0] = 0;
-  run[0] = 0;
-  for (uint32_t i = 1; i < count; i++)
-    differs[i] = (bits_of(x + i) ^ bits_of(x + i - 1)) | (bits_of(y + i) ^ bits_of(y + i - 1)) |
-                 (bits_of(z + i) ^ bits_of(z + i - 1));
-  for (uint32_t i = 1; i < count; i++) {
-    runs += differs[i] != 0;
-    run[i] = (uint8_t)(runs - 1);
-  }
-  if (runs == count) {
-    s->host->dirset_locate_n(set, count, x, y, z, out);
-    return;
-  }
-  float xyz[3][BATCH];
-  for (uint32_t i = 0; i < count; i++) {
-    xyz[0][run[i]] = x[i];
-    xyz[1][run[i]] = y[i];
-    xyz[2][run[i]] = z[i];
-  }
-  s->host->dirset_locate_n(set, runs, xyz[0], xyz[1], xyz[2], out);
-}
-
 static void locate_more(batch_front *front) {
   const btfi_lpca_state *s = front->state;
   const size_t left = front->batch->count - front->located;
   const uint32_t count = left < BATCH ? (uint32_t)left : (uint32_t)BATCH;
   front->first = front->located;
   front->located += count;
-  locate_runs(s, s->light_set, front->batch->light, front->first, count, front->light_run, front->light);
-  locate_runs(s, s->view_set, front->batch->view, front->first, count, front->view_run, front->view);
+  btf_locate_runs(s->host, s->light_set, front->batch->light, front->first, count, front->light_run,
+                  front->light);
+  btf_locate_runs(s->host, s->view_set, front->batch->view, front->first, count, front->view_run,
+                  front->view);
 }
 
 /* Into the second level of the cache: the first is too small for the rows of several queries. Rows that

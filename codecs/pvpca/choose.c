@@ -8,21 +8,6 @@
 
 #include <btf/btf_codec.h>
 
-double btfi_pvpca_peak(const btfi_pvpca_fit_job *f) {
-  const double samples = (double)f->layout.views * (double)f->rows * (double)f->columns;
-  uint64_t above = 0;
-  for (uint32_t bin = PVPCA_BINS; bin-- > 0;) {
-    above += f->histogram[bin];
-    if ((double)above > floor(samples / 1000.0)) {
-      const uint32_t bits = bin << PVPCA_BIN_SHIFT;
-      float edge;
-      memcpy(&edge, &bits, sizeof edge);
-      return (double)edge;
-    }
-  }
-  return 0.0;
-}
-
 static double without_terms(const btfi_pvpca_fit_job *f) {
   double error = 0.0;
   for (uint32_t v = 0; v < f->layout.views; v++) error += f->centred[v] + f->mean_error[v];

@@ -72,7 +72,7 @@ static double fixed_bytes(const btfi_pvpca_fit_job *f) {
          4.0 * ((double)texture_values(f) + (double)level_values(f) + (double)f->columns) +
          4.0 * (double)f->rows * f->keep + views * f->keep * 2.0 * sizeof(btfi_pvpca_candidate) +
          views * (sizeof(btfi_pvpca_view) + 16.0) +
-         (f->want_peak ? PVPCA_BINS * (8.0 + 4.0 * f->host->thread_count(f->ctx)) : 0.0);
+         (f->want_peak ? BTF_PEAK_BINS * (8.0 + 4.0 * f->host->thread_count(f->ctx)) : 0.0);
 }
 
 static btf_status choose_block(btfi_pvpca_fit_job *f) {
@@ -115,16 +115,16 @@ static btf_status make_buffers(btfi_pvpca_fit_job *f) {
   f->candidates = make(f, views * f->keep, sizeof *f->candidates, &status);
   f->view = make(f, views, sizeof *f->view, &status);
   if (f->want_peak) {
-    f->counts = make(f, (uint64_t)threads * PVPCA_BINS, sizeof *f->counts, &status);
-    f->histogram = make(f, PVPCA_BINS, sizeof *f->histogram, &status);
+    f->counts = make(f, (uint64_t)threads * BTF_PEAK_BINS, sizeof *f->counts, &status);
+    f->histogram = make(f, BTF_PEAK_BINS, sizeof *f->histogram, &status);
   }
   if (status != BTF_OK) return status;
   memset(f->centred, 0, 2 * views * sizeof *f->centred);
   f->mean_error = f->centred + views;
   memset(f->view, 0, views * sizeof *f->view);
   if (f->want_peak) {
-    memset(f->counts, 0, (size_t)threads * PVPCA_BINS * sizeof *f->counts);
-    memset(f->histogram, 0, PVPCA_BINS * sizeof *f->histogram);
+    memset(f->counts, 0, (size_t)threads * BTF_PEAK_BINS * sizeof *f->counts);
+    memset(f->histogram, 0, BTF_PEAK_BINS * sizeof *f->histogram);
   }
   return BTF_OK;
 }
@@ -174,8 +174,9 @@ static btf_status fit_in_two_passes(btfi_pvpca_fit_job *f, const btf_options *op
   if (f->has_target) {
     const double psnr = f->host->option(options, "psnr"), rmse = f->host->option(options, "rmse");
     f->target = rmse > 0.0 ? rmse * rmse * samples : INFINITY;
-    const double of_psnr =
-        psnr > 0.0 ? pow(btfi_pvpca_peak(f), 2.0) * pow(10.0, -psnr / 10.0) * samples : INFINITY;
+    const double of_psnr = psnr > 0.0 ? pow(btf_peak_of(f->histogram, (uint64_t)samples), 2.0) *
+                                            pow(10.0, -psnr / 10.0) * samples
+                                      : INFINITY;
     if (of_psnr < f->target) {
       f->target = of_psnr;
       f->target_psnr = psnr;

@@ -168,8 +168,6 @@ typedef struct btfi_pvpca_fit_job {
 /* view.c: one view's matrix */
 
 enum { PVPCA_PARTS = 16 }; /* sums are made in so many parts, whatever the number of threads */
-/* Positive floats by their upper bits: bins of 2^-10 relative width. */
-enum { PVPCA_BIN_SHIFT = 13, PVPCA_BINS = 0x7f800000u >> PVPCA_BIN_SHIFT };
 
 /* Reads the view and leaves its leading eigenvectors in `vectors`, its eigenvalues, energies and samples in
  * the job. `block` holds the view if it fits. */
@@ -194,8 +192,6 @@ btf_status btfi_pvpca_write_head(const btfi_pvpca_fit_job *f);
 
 /* Sets the terms of each view from the candidates. */
 btf_status btfi_pvpca_choose(btfi_pvpca_fit_job *f);
-/* The 99.9th percentile of all samples, from below. */
-double btfi_pvpca_peak(const btfi_pvpca_fit_job *f);
 
 btf_status btfi_pvpca_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
                           const btf_options *options, const btf_job *job, btf_chunk_writer *payload);

@@ -56,15 +56,13 @@ static void centre_part(void *job, uint32_t part, uint32_t thread) {
   const btfi_pvpca_fit_job *f = c->f;
   const uint64_t m = f->rows, whole = m / LANES * LANES;
   const uint64_t first = c->columns * part / PVPCA_PARTS, last = c->columns * (part + 1) / PVPCA_PARTS;
-  uint32_t *counts = f->counts != NULL ? f->counts + (size_t)thread * PVPCA_BINS : NULL;
+  uint32_t *counts = f->counts != NULL ? f->counts + (size_t)thread * BTF_PEAK_BINS : NULL;
   double energy = 0.0, all_centred = 0.0;
   for (uint64_t column = first; column < last; column++) {
     float *x = f->block + column * m, mean = 0.0f;
     double sum[LANES] = {0.0}, square[LANES] = {0.0}, centred = 0.0;
     for (uint64_t i = 0; counts != NULL && i < m; i++) {
-      uint32_t bits;
-      memcpy(&bits, &x[i], sizeof bits);
-      if (x[i] > 0.0f) counts[bits >> PVPCA_BIN_SHIFT]++;
+      if (x[i] > 0.0f) counts[btf_peak_bin(x[i])]++;
     }
     if (f->layout.has_mean) {
       double total = 0.0;
@@ -90,9 +88,9 @@ static void centre_part(void *job, uint32_t part, uint32_t thread) {
 static void add_up_counts(const btfi_pvpca_fit_job *f) {
   const uint32_t threads = f->host->thread_count(f->ctx);
   for (uint32_t t = 0; t < threads; t++)
-    for (uint32_t bin = 0; bin < PVPCA_BINS; bin++)
-      f->histogram[bin] += f->counts[(size_t)t * PVPCA_BINS + bin];
-  memset(f->counts, 0, (size_t)threads * PVPCA_BINS * sizeof *f->counts);
+    for (uint32_t bin = 0; bin < BTF_PEAK_BINS; bin++)
+      f->histogram[bin] += f->counts[(size_t)t * BTF_PEAK_BINS + bin];
+  memset(f->counts, 0, (size_t)threads * BTF_PEAK_BINS * sizeof *f->counts);
 }
 
 /* Reads a block and takes the mean of each column away; adds energies unless they are NULL. */

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: MIT */
 /*
  * btf_codec.h: what nearly every codec writes in the same way, inline: status passing, parameter
- * descriptions, little-endian fields of a payload, repeatable random numbers. btf_plugin.h has the interface
- * itself.
+ * descriptions, little-endian fields of a payload, directions of a batch, the peak of a material, repeatable
+ * random numbers. btf_plugin.h has the interface itself.
  */
 #ifndef LIBBTF_BTF_CODEC_H
 #define LIBBTF_BTF_CODEC_H
@@ -35,10 +35,15 @@ static inline uint32_t btf_get_u32(const unsigned char *src) {
   return (uint32_t)src[0] | (uint32_t)src[1] << 8 | (uint32_t)src[2] << 16 | (uint32_t)src[3] << 24;
 }
 
-static inline void btf_put_f32(unsigned char *dst, float value) {
+/** The bits of a float. */
+static inline uint32_t btf_bits_f32(float value) {
   uint32_t bits;
   memcpy(&bits, &value, sizeof bits);
-  btf_put_u32(dst, bits);
+  return bits;
+}
+
+static inline void btf_put_f32(unsigned char *dst, float value) {
+  btf_put_u32(dst, btf_bits_f32(value));
 }
 
 static inline float btf_get_f32(const unsigned char *src) {
@@ -73,6 +78,67 @@ static inline btf_status btf_get_chunk(const btf_host *host, btf_context *ctx, b
                         (int)(tag & 0x7f), (int)(tag >> 8 & 0x7f), (int)(tag >> 16 & 0x7f),
                         (int)(tag >> 24 & 0x7f), index, (unsigned long long)found, (unsigned long long)size);
   return BTF_OK;
+}
+
+/* ---- directions of a batch ---- */
+
+enum { BTF_RUN_DIRECTIONS = 64 /* most directions that are located together */ };
+
+/** Locates `count` directions from `first` on, 1 to BTF_RUN_DIRECTIONS, each run of equal ones once:
+ * out[run[i]] is where direction first + i lies. Equal means of the same bits. */
+static inline void btf_locate_runs(const btf_host *host, const btf_dirset *set,
+                                   const float *const direction[3], size_t first, uint32_t count,
+                                   uint8_t *run, btf_interp *out) {
+  const float *const x = direction[0] + first, *const y = direction[1] + first,
+                     *const z = direction[2] + first;
+  uint32_t differs[BTF_RUN_DIRECTIONS], runs = 1;
+  differs[0] = 0;
+  run[0] = 0;
+  for (uint32_t i = 1; i < count; i++) /* on its own, so that it becomes vector code */
+    differs[i] = (btf_bits_f32(x[i]) ^ btf_bits_f32(x[i - 1])) |
+                 (btf_bits_f32(y[i]) ^ btf_bits_f32(y[i - 1])) |
+                 (btf_bits_f32(z[i]) ^ btf_bits_f32(z[i - 1]));
+  for (uint32_t i = 1; i < count; i++) {
+    runs += differs[i] != 0;
+    run[i] = (uint8_t)(runs - 1);
+  }
+  if (runs == count) {
+    host->dirset_locate_n(set, count, x, y, z, out);
+    return;
+  }
+  float xyz[3][BTF_RUN_DIRECTIONS];
+  for (uint32_t i = 0; i < count; i++) {
+    xyz[0][run[i]] = x[i];
+    xyz[1][run[i]] = y[i];
+    xyz[2][run[i]] = z[i];
+  }
+  host->dirset_locate_n(set, runs, xyz[0], xyz[1], xyz[2], out);
+}
+
+/* ---- the peak of a material ---- */
+
+/** A histogram of positive floats by their upper bits: bins of 2^-10 relative width. */
+enum { BTF_PEAK_SHIFT = 13, BTF_PEAK_BINS = 0x7f800000 >> BTF_PEAK_SHIFT };
+
+/** The bin of a positive, finite sample. */
+static inline uint32_t btf_peak_bin(float sample) {
+  return btf_bits_f32(sample) >> BTF_PEAK_SHIFT;
+}
+
+/** The 99.9th percentile of `samples` samples, from below: the lower edge of its bin, 0 if fewer than one in
+ * a thousand are positive. */
+static inline double btf_peak_of(const uint64_t *histogram, uint64_t samples) {
+  uint64_t above = 0;
+  for (uint32_t bin = BTF_PEAK_BINS; bin-- > 0;) {
+    above += histogram[bin];
+    if (above > samples / 1000) {
+      const uint32_t bits = bin << BTF_PEAK_SHIFT;
+      float edge;
+      memcpy(&edge, &bits, sizeof edge);
+      return (double)edge;
+    }
+  }
+  return 0.0;
 }
 
 /* ---- targets ---- */

@@ -5,13 +5,9 @@
 #include <math.h>
 #include <string.h>
 
-enum {
-  BIN_SHIFT = 13, /* positive floats by their upper bits: bins of 2^-10 relative width */
-  BINS = 0x7f800000u >> BIN_SHIFT,
-  PARTS = 16,
-  BUDGET_OVER_COUNTS = 4,
-  BLOCK_FLOATS = 4 << 20
-};
+#include <btf/btf_codec.h>
+
+enum { BINS = BTF_PEAK_BINS, PARTS = 16, BUDGET_OVER_COUNTS = 4, BLOCK_FLOATS = 4 << 20 };
 
 typedef struct statistics_pass {
   const btfi_matrix *matrix;
@@ -37,11 +33,9 @@ static void take_part(statistics_pass *pass, uint32_t part, uint32_t *counts) {
     const float *value = pass->block + row * row_step;
     double sum = 0.0;
     for (uint64_t i = 0; i < others; i++, value += other_step) {
-      uint32_t bits;
       sum += *value;
       energy += (double)*value * *value;
-      memcpy(&bits, value, sizeof bits);
-      if (*value > 0.0f) counts[bits >> BIN_SHIFT]++;
+      if (*value > 0.0f) counts[btf_peak_bin(*value)]++;
     }
     pass->sums[row] += sum;
   }
@@ -53,22 +47,6 @@ static void take_lane(void *job, uint32_t lane, uint32_t thread) {
   (void)thread;
   for (uint32_t part = lane; part < PARTS; part += pass->lanes)
     take_part(pass, part, pass->counts + (uint64_t)lane * BINS);
-}
-
-/* The lower edge of the bin that holds the 99.9th percentile. */
-static double find_peak(const statistics_pass *pass, uint64_t samples) {
-  uint64_t above = 0;
-  const uint64_t most = samples / 1000;
-  for (uint32_t bin = BINS; bin-- > 0;) {
-    above += pass->histogram[bin];
-    if (above > most) {
-      const uint32_t bits = bin << BIN_SHIFT;
-      float edge;
-      memcpy(&edge, &bits, sizeof edge);
-      return edge;
-    }
-  }
-  return 0.0;
 }
 
 static void add_up_counts(statistics_pass *pass) {
@@ -133,7 +111,7 @@ static btf_status measure(btfi_matrix *m, uint64_t max_working_set, float *mean,
       if (mean != NULL) mean[row] = (float)average;
     }
     out->centred_energy = fmax(0.0, out->centred_energy);
-    out->peak = find_peak(&pass, m->rows * m->texels);
+    out->peak = btf_peak_of(pass.histogram, m->rows * m->texels);
   }
   btfi_free(m->ctx, block);
   btfi_free(m->ctx, pass.sums);
