@@ -152,8 +152,9 @@ static void test_codebooks(void **unused) {
       before = error;
       btf_model_release(model);
     }
-    /* One entry for each texel. */
-    assert_near(before, least, 2e-3);
+    /* One entry for each texel: its own maps, in the same bytes, times a gain of 1 but for the rounding of
+     * sums. */
+    assert_relative(before, least, 1e-5);
   }
   material_release(&m);
   test_context_done(ctx, &memory);

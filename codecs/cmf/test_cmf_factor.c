@@ -135,8 +135,8 @@ static void test_planted_factors(void **unused) {
     const double paper = plant_and_factor("ubo81", &s, cases[i].f);
     print_message("planted %s, %s maps: error %.5f, without sweeps %.5f; resampling alone %.5f\n",
                   cases[i].chain, s.map == CMF_CUBE ? "cube" : "parabolic", error, paper, floor);
-    assert_true(error < floor);
-    assert_true(paper < 2.0 * floor);
+    /* The last stage works on the data themselves and makes up for some of what resampling loses. */
+    assert_true(error < floor && paper < floor);
   }
 }
 
