@@ -111,6 +111,15 @@ static btf_status put_shader(const btf_host *host, uint32_t groups, uint32_t cha
   return host->gpu_source(b, "  }\n  return %s;\n}\n", results[channels - 1]);
 }
 
+/* Signed bytes come from a texture as 127ths. */
+static btf_status put_scale(const btf_host *host, const btfi_fmf_state *s, uint32_t groups, btf_gpu_builder *b) {
+  const float unit = s->layout.storage == FMF_Q8 ? 127.0f * 127.0f : 1.0f;
+  float scale[FMF_MAX_COLUMNS];
+  for (uint32_t k = 0; k < FMF_MAX_COLUMNS; k++) scale[k] = s->column_scale[k] * unit;
+  /* Two at least, which makes it an array. */
+  return host->gpu_uniform(b, "btf_scale", BTF_UNIFORM_VEC4, groups > 1 ? groups : 2, scale);
+}
+
 btf_status btfi_fmf_gpu(const btf_host *host, btf_context *ctx, const void *state,
                         const btf_model_shape *shape, uint32_t layout, const btf_gpu_target *target,
                         btf_gpu_builder *out) {
@@ -126,8 +135,7 @@ btf_status btfi_fmf_gpu(const btf_host *host, btf_context *ctx, const void *stat
   BTF_TRY(host->gpu_directions(out, "view", shape->views));
   BTF_TRY(put_u(host, s, channels, out));
   BTF_TRY(put_v(host, s, filtered, out));
-  /* Two at least, which makes it an array. */
-  BTF_TRY(host->gpu_uniform(out, "btf_scale", BTF_UNIFORM_VEC4, groups > 1 ? groups : 2, s->column_scale));
+  BTF_TRY(put_scale(host, s, groups, out));
   BTF_TRY(put_shader(host, groups, channels, filtered, out));
   cost.fetches = texels;
   cost.bytes = (9.0 * channels + 4.0) * groups * 4 * btfi_fmf_value_bytes(l->storage);

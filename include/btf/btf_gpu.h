@@ -87,9 +87,12 @@ typedef struct btf_gpu_cost {
   double fetches; /**< texels read, a filtered read counting as one */
   double bytes;   /**< of these texels, a filtered read counting the texels that it blends */
   double flops;
+  /** Largest difference from btf_model_eval that rounding to the layout's texels can make, in stored values; 0 where the
+   *  texels hold what the model holds. */
+  double rounding;
 } btf_gpu_cost;
 #define BTF_GPU_COST_INIT                                                                                    \
-  { sizeof(btf_gpu_cost), 0.0, 0.0, 0.0 }
+  { sizeof(btf_gpu_cost), 0.0, 0.0, 0.0, 0.0 }
 
 /** Layouts that a codec exports; i from 0. Name and summary live as long as the codec; NULL where there is none. The
  *  first is the default. Threads: const. */

@@ -185,7 +185,7 @@ const btf_gpu_uniform *btf_gpu_uniform_fields(const btf_gpu_export *e, uint32_t 
 }
 
 btf_status btf_gpu_export_cost(const btf_gpu_export *e, btf_gpu_cost *io) {
-  return btfi_copy_out(e->ctx, "btf_gpu_cost", io, BTFI_SIZE_TO(btf_gpu_cost, flops), &e->built->cost,
+  return btfi_copy_out(e->ctx, "btf_gpu_cost", io, BTFI_SIZE_TO(btf_gpu_cost, rounding), &e->built->cost,
                        sizeof e->built->cost);
 }
 

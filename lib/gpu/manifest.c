@@ -92,8 +92,8 @@ void btfi_gpu_put_manifest(const btf_gpu_export *e, const btf_model_info *model,
   if (model->color_space != NULL && model->color_space[0] != '\0')
     put_pair(b, "color_space", model->color_space, ",\n  ");
   put_pair(b, "shader", "btf.glsl", ",\n");
-  btfi_put_text(b, "  \"cost\": {\"fetches\": %.9g, \"bytes\": %.9g, \"flops\": %.9g},\n",
-                built->cost.fetches, built->cost.bytes, built->cost.flops);
+  btfi_put_text(b, "  \"cost\": {\"fetches\": %.9g, \"bytes\": %.9g, \"flops\": %.9g, \"rounding\": %.9g},\n",
+                built->cost.fetches, built->cost.bytes, built->cost.flops, built->cost.rounding);
   put_textures(b, e);
   btfi_put_text(b, "  \"uniform_block\": {\"name\": \"btf_uniforms\", \"binding\": 0, \"size\": %u},\n",
                 (unsigned)((built->block_size + 15) & ~15u));
