@@ -47,10 +47,10 @@ typedef struct btf_gpu_texture {
   uint32_t width, height, depth, layers, level_count;
   uint32_t min_filter, mag_filter; /**< BTF_FILTER_*; min_filter within a level and between levels */
   uint32_t wrap[3];                /**< BTF_WRAP_* */
-  uint32_t binding;
+  uint32_t binding, reserved;
 } btf_gpu_texture;
 #define BTF_GPU_TEXTURE_INIT                                                                                 \
-  { sizeof(btf_gpu_texture), NULL, NULL, 0, 0, 0, 0, 0, 0, 0, 0, 0, {0, 0, 0}, 0 }
+  { sizeof(btf_gpu_texture), NULL, NULL, 0, 0, 0, 0, 0, 0, 0, 0, 0, {0, 0, 0}, 0, 0 }
 
 enum {
   BTF_UNIFORM_FLOAT = 1,

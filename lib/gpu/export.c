@@ -162,7 +162,7 @@ btf_status btf_gpu_texture_at(const btf_gpu_export *e, uint32_t i, btf_gpu_textu
                                    .mag_filter = filter,
                                    .wrap = {t->wrap, t->wrap, BTF_WRAP_CLAMP},
                                    .binding = i + 1};
-  return btfi_copy_out(e->ctx, "btf_gpu_texture", io, BTFI_SIZE_TO(btf_gpu_texture, binding), &texture,
+  return btfi_copy_out(e->ctx, "btf_gpu_texture", io, BTFI_SIZE_TO(btf_gpu_texture, reserved), &texture,
                        sizeof texture);
 }
 
