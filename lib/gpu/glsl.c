@@ -92,7 +92,7 @@ static void put_uniform(const btf_gpu_uniform *u, btfi_buffer *out) {
 
 static void put_declarations(const btf_gpu_builder *b, btfi_buffer *out) {
   for (uint32_t i = 0; i < b->texture_count; i++)
-    btfi_put_text(out, "BTF_BINDING(%u) uniform highp %s %s;\n", (unsigned)i + 1,
+    btfi_put_text(out, "BTF_BINDING(%u) uniform BTF_HIGHP %s %s;\n", (unsigned)i + 1,
                   sampler_of(b->texture[i].dimension), b->texture[i].name);
   btfi_put_text(out, "BTF_BLOCK(0) uniform btf_uniforms {\n");
   for (uint32_t i = 0; i < b->uniform_count; i++) put_uniform(&b->uniform[i], out);
