@@ -17,6 +17,9 @@ static const char head[] = "#ifndef BTF_BINDING\n"
                            "#ifdef GL_ES\n"
                            "precision highp float;\n"
                            "precision highp int;\n"
+                           "#define BTF_HIGHP highp\n"
+                           "#else\n"
+                           "#define BTF_HIGHP\n"
                            "#endif\n";
 
 static const char directions[] = "/* The unit disc of directions: (x, y) / (1 + z). */\n"
