@@ -235,7 +235,8 @@ typedef struct btf_host {
    * without gaps; NULL for an image that the table does not have. gpu_uniform: `count` > 1 makes an array; values are
    * packed floats or int32_t, std140 is seen to. gpu_directions: the shader gets
    *   void btf_locate_NAME(vec3 direction, out ivec3 index, out vec3 weight)
-   * for a set of directions; equal sets share textures. gpu_source appends shader text; it defines
+   * for a set of directions; equal sets share textures. gpu_cost adds to what their search costs.
+   * gpu_source appends shader text; it defines
    *   vec3 btf_stored(vec3 light, vec3 view, vec2 uv, float lod)
    * and may call what docs/gpu-export.md lists. */
   btf_status (*gpu_table)(btf_gpu_builder *b, const btf_gpu_table *table, uint32_t *number);

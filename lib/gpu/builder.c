@@ -263,5 +263,8 @@ btf_status btfi_gpu_source(btf_gpu_builder *b, const char *format, ...) {
 }
 
 void btfi_gpu_cost(btf_gpu_builder *b, const btf_gpu_cost *cost) {
-  b->cost = (btf_gpu_cost){sizeof b->cost, cost->fetches, cost->bytes, cost->flops, cost->rounding};
+  b->cost.fetches += cost->fetches;
+  b->cost.bytes += cost->bytes;
+  b->cost.flops += cost->flops;
+  b->cost.rounding += cost->rounding;
 }

@@ -12,6 +12,9 @@
 
 enum { MAP = 256 /* texels along a side */, ROW = 256 /* facets in a row of their table */ };
 
+/* Of a search that ends where it begins: the map, and three texels of the facet. */
+static const btf_gpu_cost search = {sizeof search, 4.0, 4.0 + 3.0 * 16.0, 30.0, 0.0};
+
 static btf_status put_tables(btf_gpu_builder *b, const char *name, const btf_dirset *set) {
   char table_name[BTFI_GPU_NAME];
   const uint32_t facets = btfi_dirset_facet_count(set);
@@ -69,6 +72,7 @@ static void put_walk(btfi_buffer *out, const char *n) {
 btf_status btfi_gpu_directions(btf_gpu_builder *b, const char *name, const btf_dirset *set) {
   if (name == NULL || strlen(name) == 0 || strlen(name) > 24)
     return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: a direction set needs a name of 1 to 24 letters");
+  btfi_gpu_cost(b, &search);
   for (uint32_t i = 0; i < b->set_count; i++) {
     if (!btfi_dirset_equal(b->set[i], set)) continue;
     btfi_put_text(&b->accessor,
