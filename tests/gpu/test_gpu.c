@@ -172,8 +172,8 @@ static bool exports(btf_context *ctx, const codec_case *row) {
 }
 
 static void every_codec(void **state) {
-  static const uint32_t materials[] = {MATERIAL_SMOOTH, MATERIAL_COSINE, MATERIAL_CLAMPED, MATERIAL_PAIR,
-                                       MATERIAL_TEXEL};
+  static const uint32_t materials[] = {MATERIAL_SMOOTH, MATERIAL_COSINE, MATERIAL_CLAMPED,
+                                       MATERIAL_PAIR,   MATERIAL_ROW,    MATERIAL_TEXEL};
   gl_host *host = open_host(GL_ES_300);
   btf_context *ctx;
   uint32_t tried = 0;
