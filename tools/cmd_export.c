@@ -26,7 +26,7 @@ static int list_layouts(cli *c, const input *in) {
   const btf_codec *codec = btf_codec_find(c->context, info.codec_id);
   const char *name, *summary;
   for (uint32_t i = 0; codec != NULL && (name = btf_codec_gpu_layout(codec, i, &summary)) != NULL; i++)
-    printf("%-10s%s%s\n", name, summary, i == 0 ? " (default)" : "");
+    printf("%-14s %s%s\n", name, summary, i == 0 ? " (default)" : "");
   return cli_flush();
 }
 
