@@ -87,6 +87,16 @@ static const char texels[] =
     "  p.weight1 *= shares.y;\n"
     "  p.share = shares.y;\n"
     "  return p;\n"
+    "}\n"
+    "/* Column, row and level of texel i of the eight of a place, and its weight. */\n"
+    "ivec3 btf_place_texel(btf_place p, int i, out float weight) {\n"
+    "  int column = i & 1, row = (i >> 1) & 1;\n"
+    "  if (i < 4) {\n"
+    "    weight = p.weight0[i];\n"
+    "    return ivec3(p.x0[column], p.y0[row], p.level.x);\n"
+    "  }\n"
+    "  weight = p.weight1[i - 4];\n"
+    "  return ivec3(p.x1[column], p.y1[row], p.level.y);\n"
     "}\n";
 
 static const char *sampler_of(uint32_t dimension) {
