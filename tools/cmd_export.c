@@ -1,10 +1,13 @@
 /* SPDX-License-Identifier: MIT */
 /* cmd_export.c: textures, numbers and a shader for renderers on a GPU. */
 #include <inttypes.h>
+#include <stdlib.h>
 
 #include "commands.h"
 #include "input.h"
 #include "json_writer.h"
+#include "safe_text.h"
+#include "viewer_page.h"
 
 static const char *dimension_word(uint32_t dimension) {
   return dimension == BTF_TEXTURE_3D         ? "3D"
@@ -48,11 +51,20 @@ static int print_text(const btf_gpu_export *e, const btf_gpu_cost *cost) {
   return cli_flush();
 }
 
-static int print_result(cli *c, const btf_gpu_export *e) {
+static int print_result(cli *c, const btf_gpu_export *e, const char *path) {
   btf_gpu_cost cost = BTF_GPU_COST_INIT;
   const btf_status status = btf_gpu_export_cost(e, &cost);
   if (status != BTF_OK) return cli_fail_library(status);
-  if (!cli_has(c, "json")) return c->quiet ? EXIT_DONE : print_text(e, &cost);
+  if (!cli_has(c, "json")) {
+    const int failed = c->quiet ? EXIT_DONE : print_text(e, &cost);
+    if (!failed && !c->quiet && cli_has(c, "viewer")) {
+      printf("open ");
+      safe_text_put(stdout, path);
+      printf("/index.html in a browser\n");
+      return cli_flush();
+    }
+    return failed;
+  }
   printf("%s", btf_gpu_manifest(e));
   return cli_flush();
 }
@@ -61,12 +73,18 @@ static int export_model(cli *c, const input *in, const char *path, const btf_gpu
                         int32_t zstd) {
   btf_gpu_export *e;
   btf_status status = btf_gpu_export_create(in->model, target, &e);
-  int failed;
+  char *page = NULL;
+  size_t page_size = 0;
+  int failed = EXIT_DONE;
   if (status != BTF_OK) return cli_fail_library(status);
-  cli_hold_interrupts();
-  status = btf_gpu_export_write(e, path, zstd);
-  cli_release_interrupts();
-  failed = status == BTF_OK ? print_result(c, e) : cli_fail_library(status);
+  if (cli_has(c, "viewer")) failed = viewer_page_create(e, zstd, &page, &page_size);
+  if (!failed) {
+    cli_hold_interrupts();
+    status = btf_gpu_export_write_page(e, path, zstd, page, page_size);
+    cli_release_interrupts();
+    failed = status == BTF_OK ? print_result(c, e, path) : cli_fail_library(status);
+  }
+  free(page);
   btf_gpu_export_release(e);
   return failed;
 }
@@ -93,6 +111,7 @@ static const cli_option options[] = {
     CLI_OPTION_OUTPUT("folder to write"),
     {"layout", 0, "NAME", "one of the codec's layouts, instead of its first", 0},
     {"list", 'l', NULL, "list the layouts of the file's codec and stop", CLI_OPTION_UNRECORDED},
+    {"viewer", 0, NULL, "write index.html too: a viewer that holds the export and needs no server", 0},
     {"zstd", 0, "N", "compress the texture files at this zstd level (default 0 = not at all)", 0},
     {"max-size", 0, "N", "most texels along a side of a 2D texture (default 8192)", 0},
     {"max-layers", 0, "N", "most layers of an array (default 256)", 0},

@@ -135,6 +135,11 @@ LIBBTF_API void btf_gpu_free(const btf_gpu_export *e, void *data);
  *  an earlier export at the path is replaced, anything else is not. Errors: BTF_E_IO, BTF_E_NOMEM. Threads: free. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_gpu_export_write(const btf_gpu_export *e, const char *path,
                                                             int32_t zstd_level);
+/** The same with a page beside it, index.html, which the manifest then names; page NULL = none. An index.html that no
+ *  manifest names is kept, as is all that is not the export's. Errors: as above. Threads: free. */
+LIBBTF_API LIBBTF_NODISCARD btf_status btf_gpu_export_write_page(const btf_gpu_export *e, const char *path,
+                                                                 int32_t zstd_level, const void *page,
+                                                                 size_t page_size);
 
 #ifdef __cplusplus
 }

@@ -10,6 +10,7 @@
 
 #define MANIFEST_FILE "manifest.json"
 #define SHADER_FILE "btf.glsl"
+#define PAGE_FILE "index.html"
 enum { MOST_MANIFEST_BYTES = 4 << 20 };
 
 static void put_name(btfi_buffer *files, const char *name, const char *ending) {
@@ -36,6 +37,8 @@ static bool find_files(btf_context *ctx, const char *path, btfi_buffer *files) {
     ours = format != NULL && strcmp(format, "btf-gpu") == 0;
     put_name(files, MANIFEST_FILE, "");
     put_name(files, SHADER_FILE, "");
+    /* A page that the manifest does not name is somebody else's. */
+    if (btfi_json_get(root, "page") != NULL) put_name(files, PAGE_FILE, "");
     for (uint64_t i = 0; ours && i < btfi_json_length(textures); i++) {
       const char *name = btfi_json_string(btfi_json_get(btfi_json_at(textures, i), "name"));
       if (is_texture_name(name)) put_name(files, name, ".ktx2");
@@ -79,10 +82,26 @@ static btf_status write_textures(const btf_gpu_export *e, const char *folder, in
   return BTF_OK;
 }
 
-static btf_status write_all(const btf_gpu_export *e, const char *folder, int32_t zstd_level) {
+/* The manifest, and in it the page's name where there is one. */
+static btf_status write_manifest(const btf_gpu_export *e, const char *folder, bool has_page) {
+  static const char start[] = "{\n", page[] = "{\n  \"page\": \"" PAGE_FILE "\",\n";
+  btfi_buffer text;
+  if (!has_page) return write_file(e->ctx, folder, MANIFEST_FILE, e->manifest, strlen(e->manifest));
+  btfi_buffer_init(&text, e->ctx);
+  btfi_put_bytes(&text, page, sizeof page - 1);
+  btfi_put_bytes(&text, e->manifest + sizeof start - 1, strlen(e->manifest) - (sizeof start - 1));
+  btf_status status = btfi_buffer_status(&text);
+  if (status == BTF_OK) status = write_file(e->ctx, folder, MANIFEST_FILE, text.data, text.size);
+  btfi_buffer_free(&text);
+  return status;
+}
+
+static btf_status write_all(const btf_gpu_export *e, const char *folder, int32_t zstd_level, const void *page,
+                            size_t page_size) {
   BTFI_TRY(write_textures(e, folder, zstd_level));
   BTFI_TRY(write_file(e->ctx, folder, SHADER_FILE, e->glsl, strlen(e->glsl)));
-  return write_file(e->ctx, folder, MANIFEST_FILE, e->manifest, strlen(e->manifest));
+  if (page != NULL) BTFI_TRY(write_file(e->ctx, folder, PAGE_FILE, page, page_size));
+  return write_manifest(e, folder, page != NULL);
 }
 
 static void remove_folder(const btf_gpu_export *e, const char *folder) {
@@ -90,22 +109,28 @@ static void remove_folder(const btf_gpu_export *e, const char *folder) {
   btfi_buffer_init(&files, e->ctx);
   put_name(&files, MANIFEST_FILE, "");
   put_name(&files, SHADER_FILE, "");
+  put_name(&files, PAGE_FILE, "");
   for (uint32_t i = 0; i < e->built->texture_count; i++) put_name(&files, e->built->texture[i].name, ".ktx2");
   if (btfi_buffer_status(&files) == BTF_OK)
     btfi_folder_remove(e->ctx, folder, (const char *)files.data, files.size);
   btfi_buffer_free(&files);
 }
 
-btf_status btf_gpu_export_write(const btf_gpu_export *e, const char *path, int32_t zstd_level) {
+btf_status btf_gpu_export_write_page(const btf_gpu_export *e, const char *path, int32_t zstd_level,
+                                     const void *page, size_t page_size) {
   char *temporary = NULL;
   if (e == NULL || path == NULL || zstd_level < 0 || zstd_level > 22)
     return btfi_fail(NULL, BTF_E_INVALID_ARG,
                      "btf_gpu_export_write: export and path must not be NULL, zstd level 0 to 22");
   BTFI_TRY(btfi_folder_may_take(e->ctx, &folder_kind, path, NULL));
   BTFI_TRY(btfi_folder_make_beside(e->ctx, path, &temporary));
-  btf_status status = write_all(e, temporary, zstd_level);
+  btf_status status = write_all(e, temporary, zstd_level, page, page_size);
   if (status == BTF_OK) status = btfi_folder_place(e->ctx, &folder_kind, temporary, path);
   if (status != BTF_OK) remove_folder(e, temporary);
   btfi_free(e->ctx, temporary);
   return status;
+}
+
+btf_status btf_gpu_export_write(const btf_gpu_export *e, const char *path, int32_t zstd_level) {
+  return btf_gpu_export_write_page(e, path, zstd_level, NULL, 0);
 }
