@@ -28,6 +28,16 @@ SIZE(btf_interp, 24);
 AT(btf_interp, index, 0);
 AT(btf_interp, weight, 12);
 
+SIZE(btf_gpu_level, 32);
+AT(btf_gpu_level, size, 8);
+AT(btf_gpu_level, width, 16);
+AT(btf_gpu_level, depth, 24);
+SIZE(btf_gpu_uniform, 24);
+AT(btf_gpu_uniform, type, 8);
+AT(btf_gpu_uniform, offset, 12);
+AT(btf_gpu_uniform, count, 16);
+SIZE(btf_gpu_layout_desc, 16);
+
 SIZE(btf_block, 32);
 AT(btf_block, view0, 0);
 AT(btf_block, views, 4);
@@ -100,11 +110,15 @@ GROWABLE(btf_batch, reserved, 96, 96);
 GROWABLE(btf_svd_desc, reserved, 88, 88);
 GROWABLE(btf_svd_result, residual, 56, 64);
 GROWABLE(btf_statistics, peak, 32, 32);
-GROWABLE(btf_codec_vtbl, texel, 120, 128);
+GROWABLE(btf_codec_vtbl, texel, 120, 144);
 GROWABLE(btf_eval_cost, flops, 40, 40);
+GROWABLE(btf_gpu_texture, reserved, 80, 80);
+GROWABLE(btf_gpu_target, max_textures, 32, 32);
+GROWABLE(btf_gpu_cost, rounding, 40, 40);
+GROWABLE(btf_gpu_table, reserved, 48, 48);
 GROWABLE(btf_plugin_info, host_size_needed, 40, 56);
 GROWABLE(btf_format_vtbl, open, 56, 56);
-GROWABLE(btf_host, mip_filter, 224, 328);
+GROWABLE(btf_host, mip_filter, 224, 376);
 
 AT(btf_codec_vtbl, abi, 4);
 AT(btf_plugin_info, abi, 4);

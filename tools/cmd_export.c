@@ -1,19 +1,132 @@
 /* SPDX-License-Identifier: MIT */
-/* cmd_export.c: answers for GPU export. */
-#include "commands.h"
+/* cmd_export.c: textures, numbers and a shader for renderers on a GPU. */
+#include <inttypes.h>
+#include <stdlib.h>
 
-static int run(cli *c) {
-  return cli_fail(EXIT_UNSUPPORTED, "export: %s: GPU textures and shaders come with a later version of btf",
-                  c->operands[0]);
+#include "commands.h"
+#include "input.h"
+#include "json_writer.h"
+#include "safe_text.h"
+#include "viewer_page.h"
+
+static const char *dimension_word(uint32_t dimension) {
+  return dimension == BTF_TEXTURE_3D         ? "3D"
+         : dimension == BTF_TEXTURE_CUBE     ? "cube"
+         : dimension == BTF_TEXTURE_2D_ARRAY ? "2D array"
+                                             : "2D";
 }
 
-static const cli_option options[] = {CLI_OPTION_OUTPUT("folder to write"), CLI_OPTIONS_END};
+static uint64_t level_bytes(const btf_gpu_texture *t) {
+  uint64_t bytes = 0;
+  for (uint32_t l = 0; l < t->level_count; l++) bytes += t->levels[l].size;
+  return bytes;
+}
 
-const cli_command cmd_export = {"export",
-                                "writes GPU textures and a shader (in a later version)",
-                                "FILE -o DIR",
-                                "This version of btf has no GPU export: the command ends with status 5.",
-                                options,
-                                1,
-                                1,
-                                run};
+static int list_layouts(cli *c, const input *in) {
+  btf_model_info info = BTF_MODEL_INFO_INIT;
+  const btf_status status = btf_model_describe(in->model, &info);
+  if (status != BTF_OK) return cli_fail_library(status);
+  const btf_codec *codec = btf_codec_find(c->context, info.codec_id);
+  const char *name, *summary;
+  for (uint32_t i = 0; codec != NULL && (name = btf_codec_gpu_layout(codec, i, &summary)) != NULL; i++)
+    printf("%-14s %s%s\n", name, summary, i == 0 ? " (default)" : "");
+  return cli_flush();
+}
+
+static int print_text(const btf_gpu_export *e, const btf_gpu_cost *cost) {
+  uint64_t total = 0;
+  for (uint32_t i = 0; i < btf_gpu_texture_count(e); i++) {
+    btf_gpu_texture t = BTF_GPU_TEXTURE_INIT;
+    const btf_status status = btf_gpu_texture_at(e, i, &t);
+    if (status != BTF_OK) return cli_fail_library(status);
+    const uint64_t bytes = level_bytes(&t);
+    printf("%-24s %s, %" PRIu32 "x%" PRIu32 "x%" PRIu32 ", %" PRIu32 " level%s, %" PRIu64 " bytes\n", t.name,
+           dimension_word(t.dimension), t.width, t.height, t.depth * t.layers, t.level_count,
+           t.level_count == 1 ? "" : "s", bytes);
+    total += bytes;
+  }
+  printf("%" PRIu64
+         " bytes of texels; an evaluation reads %.0f texels (%.0f bytes) and takes %.0f operations\n",
+         total, cost->fetches, cost->bytes, cost->flops);
+  return cli_flush();
+}
+
+static int print_result(cli *c, const btf_gpu_export *e, const char *path) {
+  btf_gpu_cost cost = BTF_GPU_COST_INIT;
+  const btf_status status = btf_gpu_export_cost(e, &cost);
+  if (status != BTF_OK) return cli_fail_library(status);
+  if (!cli_has(c, "json")) {
+    const int failed = c->quiet ? EXIT_DONE : print_text(e, &cost);
+    if (!failed && !c->quiet && cli_has(c, "viewer")) {
+      printf("open ");
+      safe_text_put(stdout, path);
+      printf("/index.html in a browser\n");
+      return cli_flush();
+    }
+    return failed;
+  }
+  printf("%s", btf_gpu_manifest(e));
+  return cli_flush();
+}
+
+static int export_model(cli *c, const input *in, const char *path, const btf_gpu_target *target,
+                        int32_t zstd) {
+  btf_gpu_export *e;
+  btf_status status = btf_gpu_export_create(in->model, target, &e);
+  char *page = NULL;
+  size_t page_size = 0;
+  int failed = EXIT_DONE;
+  if (status != BTF_OK) return cli_fail_library(status);
+  if (cli_has(c, "viewer")) failed = viewer_page_create(e, zstd, &page, &page_size);
+  if (!failed) {
+    cli_hold_interrupts();
+    status = btf_gpu_export_write_page(e, path, zstd, page, page_size);
+    cli_release_interrupts();
+    failed = status == BTF_OK ? print_result(c, e, path) : cli_fail_library(status);
+  }
+  free(page);
+  btf_gpu_export_release(e);
+  return failed;
+}
+
+static int run(cli *c) {
+  btf_gpu_target target = BTF_GPU_TARGET_INIT;
+  const char *path = NULL;
+  uint32_t zstd = 0;
+  input in;
+  int failed = cli_has(c, "list") ? EXIT_DONE : cli_required(c, "output", &path);
+  if (!failed) failed = cli_uint32(c, "max-size", 16, 1u << 20, &target.max_2d);
+  if (!failed) failed = cli_uint32(c, "max-layers", 1, 1u << 16, &target.max_layers);
+  if (!failed) failed = cli_uint32(c, "max-textures", 1, 64, &target.max_textures);
+  if (!failed) failed = cli_uint32(c, "zstd", 0, 22, &zstd);
+  target.layout = cli_value(c, "layout");
+  if (!failed) failed = input_open_model(c, c->operands[0], &in);
+  if (failed) return failed;
+  failed = cli_has(c, "list") ? list_layouts(c, &in) : export_model(c, &in, path, &target, (int32_t)zstd);
+  input_close(&in);
+  return failed;
+}
+
+static const cli_option options[] = {
+    CLI_OPTION_OUTPUT("folder to write"),
+    {"layout", 0, "NAME", "one of the codec's layouts, instead of its first", 0},
+    {"list", 'l', NULL, "list the layouts of the file's codec and stop", CLI_OPTION_UNRECORDED},
+    {"viewer", 0, NULL, "write index.html too: a viewer that holds the export and needs no server", 0},
+    {"zstd", 0, "N", "compress the texture files at this zstd level (default 0 = not at all)", 0},
+    {"max-size", 0, "N", "most texels along a side of a 2D texture (default 8192)", 0},
+    {"max-layers", 0, "N", "most layers of an array (default 256)", 0},
+    {"max-textures", 0, "N", "most textures (default 16)", 0},
+    CLI_OPTION_JSON,
+    CLI_OPTIONS_END};
+
+const cli_command cmd_export = {
+    "export",
+    "writes GPU textures and the shader that reads them",
+    "FILE -o DIR [options]\nFILE --list",
+    "The folder gets manifest.json, btf.glsl with a function btf_eval(light, view, uv, "
+    "lod), and a KTX 2.0 file for each\n"
+    "texture. The shader is GLSL ES 3.00, GLSL 3.30 and GLSL 4.50 for Vulkan alike.",
+    options,
+    1,
+    1,
+    run};

@@ -127,6 +127,13 @@ btfi_cmf_blend_fn btfi_cmf_blend_of(uint32_t isa, uint32_t storage, uint32_t cha
 btfi_cmf_blend_fn btfi_cmf_blend_avx2(uint32_t storage, uint32_t channels, uint32_t edge);
 #endif
 
+/* ---- export for a GPU (gpu.c) ---- */
+
+extern const btf_gpu_layout_desc *const btfi_cmf_gpu_layouts[];
+btf_status btfi_cmf_gpu(const btf_host *host, btf_context *ctx, const void *state,
+                        const btf_model_shape *shape, uint32_t layout, const btf_gpu_target *target,
+                        btf_gpu_builder *out);
+
 /* ---- fit (fit.c, texels.c, write.c, target.c) ---- */
 
 btf_status btfi_cmf_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,

@@ -121,4 +121,6 @@ const btf_codec_vtbl btf_codec_cmf = {
     .eval_n = btfi_cmf_eval_n,
     .texel = btfi_cmf_texel,
     .cost = cost,
+    .gpu_layouts = btfi_cmf_gpu_layouts,
+    .gpu = btfi_cmf_gpu,
 };

@@ -80,4 +80,6 @@ const btf_codec_vtbl btf_codec_fmf = {
     .eval_n = btfi_fmf_eval_n,
     .texel = btfi_fmf_texel,
     .cost = cost,
+    .gpu_layouts = btfi_fmf_gpu_layouts,
+    .gpu = btfi_fmf_gpu,
 };

@@ -25,7 +25,6 @@ void btfi_fmf_state_ready(btfi_fmf_state *state, const btf_host *host, btf_conte
                           const btf_model_shape *shape, const float *scale) {
   const btfi_fmf_layout *layout = &state->layout;
   const btfi_fmf_kernels *kernels = btfi_fmf_kernels_of(host->isa(ctx));
-  float natural[FMF_MAX_COLUMNS] = {0};
   state->host = host;
   state->light_set = shape->lights;
   state->view_set = shape->views;
@@ -36,8 +35,9 @@ void btfi_fmf_state_ready(btfi_fmf_state *state, const btf_host *host, btf_conte
   state->dot = kernels->dot;
   state->channel_bytes = (uint64_t)layout->stride * btfi_fmf_value_bytes(layout->storage);
   state->can_keep = (uint64_t)layout->channels * layout->padded <= SCRATCH;
-  memcpy(natural, scale, layout->columns * sizeof *scale);
-  kernels->permute(layout->storage, layout->padded, natural, state->scale);
+  memset(state->column_scale, 0, sizeof state->column_scale);
+  memcpy(state->column_scale, scale, layout->columns * sizeof *scale);
+  kernels->permute(layout->storage, layout->padded, state->column_scale, state->scale);
 }
 
 static const unsigned char *u_row(const btfi_fmf_state *s, uint32_t light, uint32_t view) {

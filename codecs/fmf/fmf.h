@@ -222,7 +222,8 @@ typedef struct btfi_fmf_state {
   uint64_t resident;
   btfi_fmf_layout layout;
   void *owned[FMF_MAX_LEVELS + 1];           /* decoded tables; NULL where the payload is used in place */
-  _Alignas(64) float scale[FMF_MAX_COLUMNS]; /* of the columns, as the kernels want them; 0 beyond */
+  float column_scale[FMF_MAX_COLUMNS];       /* 0 beyond the columns */
+  _Alignas(64) float scale[FMF_MAX_COLUMNS]; /* the same as the kernels want them */
 } btfi_fmf_state;
 
 /* Derives the members that evaluation needs from `layout`, the shape and the scales of the columns. */
@@ -232,5 +233,12 @@ void btfi_fmf_eval(const void *state, const btf_query *query, float *out);
 void btfi_fmf_eval_n(const void *state, const btf_batch *batch, float *const *out);
 void btfi_fmf_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view,
                     float *out);
+
+/* ---- export for a GPU (gpu.c) ---- */
+
+extern const btf_gpu_layout_desc *const btfi_fmf_gpu_layouts[];
+btf_status btfi_fmf_gpu(const btf_host *host, btf_context *ctx, const void *state,
+                        const btf_model_shape *shape, uint32_t layout, const btf_gpu_target *target,
+                        btf_gpu_builder *out);
 
 #endif

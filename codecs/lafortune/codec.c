@@ -94,4 +94,6 @@ const btf_codec_vtbl btf_codec_lafortune = {
     .eval_n = btfi_lafortune_eval_n,
     .texel = btfi_lafortune_texel,
     .cost = cost,
+    .gpu_layouts = btfi_lafortune_gpu_layouts,
+    .gpu = btfi_lafortune_gpu,
 };

@@ -93,4 +93,6 @@ const btf_codec_vtbl btf_codec_laplacian = {
     .eval_n = btfi_laplacian_eval_n,
     .texel = btfi_laplacian_texel,
     .cost = cost,
+    .gpu_layouts = btfi_laplacian_gpu_layouts,
+    .gpu = btfi_laplacian_gpu,
 };

@@ -312,18 +312,41 @@ uint32_t btfi_laplacian_values_touched(const btfi_laplacian_state *state, float 
 
 /* ---- the paper's textures (packing.c) ---- */
 
-/* RGBA planes of a level: Y1-4, Y5-8, Cb1-2 with Cr1-2. */
-enum { LAPLACIAN_PLANES = 3 };
-uint64_t btfi_laplacian_eigen_map_bytes(uint32_t lights, uint32_t views, uint32_t levels);
-uint64_t btfi_laplacian_weight_map_bytes(uint32_t width, uint32_t height);
-/* Index of an RGBA texel in the eigen map, 3 lights wide and levels * views high. */
-uint64_t btfi_laplacian_eigen_place(uint32_t lights, uint32_t views, uint32_t level, uint32_t plane,
+/* Where components go. A level has planes of RGBA: four components of Y in each, then two of Cb and two of
+ * Cr; at the paper's settings Y1-4, Y5-8, Cb1-2 with Cr1-2. */
+typedef struct btfi_laplacian_packing {
+  uint32_t lights, views, levels;
+  uint32_t planes; /* of the level that has most, at least 1: the eigen map is planes * lights wide */
+  uint32_t luma[LAPLACIAN_MAX_LEVELS], chroma[LAPLACIAN_MAX_LEVELS]; /* planes of a level */
+  /* Of the weight map: three quadrants of a level's planes, the levels after it in the fourth; a layer for
+   * every three planes. Twice the material's size, unless levels stay one texel wide. */
+  uint32_t width, height, layers;
+  uint32_t column[LAPLACIAN_MAX_LEVELS], line[LAPLACIAN_MAX_LEVELS]; /* where a level begins */
+  uint32_t level_width[LAPLACIAN_MAX_LEVELS], level_height[LAPLACIAN_MAX_LEVELS];
+} btfi_laplacian_packing;
+enum {
+  LAPLACIAN_MAX_LAYERS = ((LAPLACIAN_MAX_COMPONENTS + 4) / 4 + (LAPLACIAN_MAX_COMPONENTS + 2) / 2 + 2) / 3
+};
+void btfi_laplacian_packing_of(const btfi_laplacian_head *head, const btfi_laplacian_grid *grid,
+                               uint32_t lights, uint32_t views, btfi_laplacian_packing *out);
+/* Plane of a component in its level, and which of the four it is there. */
+void btfi_laplacian_component_place(const btfi_laplacian_packing *p, uint32_t level, uint32_t channel,
+                                    uint32_t component, uint32_t *plane, uint32_t *part);
+/* Index of an RGBA texel in the eigen map, levels * views high. */
+uint64_t btfi_laplacian_eigen_place(const btfi_laplacian_packing *p, uint32_t level, uint32_t plane,
                                     uint32_t light, uint32_t view);
-/* Index of an RGBA texel in the weight map, 2 width x 2 height: three quadrants of a level's planes, the
- * levels after it in the fourth. */
-uint64_t btfi_laplacian_weight_place(uint32_t width, uint32_t height, uint32_t level, uint32_t plane,
+/* Index of an RGBA texel in its layer of the weight map. */
+uint64_t btfi_laplacian_weight_place(const btfi_laplacian_packing *p, uint32_t level, uint32_t plane,
                                      uint32_t x, uint32_t y);
-/* Fill both maps, false if a level has more components than the planes hold. Weights carry the scales. */
-bool btfi_laplacian_pack(const btfi_laplacian_state *state, float *eigen_map, float *weight_map);
+/* Fills both maps, which come zeroed. Weights carry the scales. */
+void btfi_laplacian_pack(const btfi_laplacian_state *state, const btfi_laplacian_packing *p, float *eigen_map,
+                         float *const *weight_layers);
+
+/* ---- GPU (gpu.c) ---- */
+
+extern const btf_gpu_layout_desc *const btfi_laplacian_gpu_layouts[];
+btf_status btfi_laplacian_gpu(const btf_host *host, btf_context *ctx, const void *state,
+                              const btf_model_shape *shape, uint32_t layout, const btf_gpu_target *target,
+                              btf_gpu_builder *out);
 
 #endif

@@ -1,36 +1,60 @@
 /* SPDX-License-Identifier: MIT */
-/* packing.c: the paper's two RGBA textures of 32-bit floats (section 3.3, figure 5). */
+/* packing.c: the paper's two RGBA textures of 32-bit floats (section 3.3, figure 5), for any number of
+ * components: planes that the paper does not have go to the right in the eigen map, and to further layers of
+ * the weight map. */
 #include "laplacian.h"
 
 #include <btf/btf_half.h>
 
-enum { TEXEL_FLOATS = 4, TEXEL_BYTES = 16 };
-/* What the three planes hold of each channel. */
-static const uint32_t plane_components[3] = {8, 2, 2};
+enum { TEXEL_FLOATS = 4, LAYER_PLANES = 3 };
 
-uint64_t btfi_laplacian_eigen_map_bytes(uint32_t lights, uint32_t views, uint32_t levels) {
-  return (uint64_t)TEXEL_BYTES * LAPLACIAN_PLANES * lights * views * levels;
+static uint32_t larger(uint32_t a, uint32_t b) {
+  return a > b ? a : b;
 }
 
-uint64_t btfi_laplacian_weight_map_bytes(uint32_t width, uint32_t height) {
-  return (uint64_t)TEXEL_BYTES * 2 * width * 2 * height;
-}
-
-uint64_t btfi_laplacian_eigen_place(uint32_t lights, uint32_t views, uint32_t level, uint32_t plane,
-                                    uint32_t light, uint32_t view) {
-  return ((uint64_t)level * views + view) * LAPLACIAN_PLANES * lights + (uint64_t)plane * lights + light;
-}
-
-uint64_t btfi_laplacian_weight_place(uint32_t width, uint32_t height, uint32_t level, uint32_t plane,
-                                     uint32_t x, uint32_t y) {
-  uint64_t column = x, line = y;
-  for (uint32_t k = 0; k < level; k++) {
-    column += btf_sampling_level_size(width, k);
-    line += btf_sampling_level_size(height, k);
+void btfi_laplacian_packing_of(const btfi_laplacian_head *head, const btfi_laplacian_grid *grid,
+                               uint32_t lights, uint32_t views, btfi_laplacian_packing *out) {
+  uint32_t column = 0, line = 0;
+  *out = (btfi_laplacian_packing){.lights = lights, .views = views, .levels = head->levels, .planes = 1};
+  for (uint32_t k = 0; k < head->levels && k < LAPLACIAN_MAX_LEVELS; k++) {
+    const uint32_t *count = head->count[k];
+    out->luma[k] = (count[LAPLACIAN_Y] + 3) / 4;
+    out->chroma[k] = (larger(count[LAPLACIAN_CB], count[LAPLACIAN_CR]) + 1) / 2;
+    out->planes = larger(out->planes, out->luma[k] + out->chroma[k]);
+    out->column[k] = column;
+    out->line[k] = line;
+    out->width = larger(out->width, column + 2 * grid->width[k]);
+    out->height = larger(out->height, line + 2 * grid->height[k]);
+    out->level_width[k] = grid->width[k];
+    out->level_height[k] = grid->height[k];
+    column += grid->width[k];
+    line += grid->height[k];
   }
-  if (plane == 1) column += btf_sampling_level_size(width, level);
-  if (plane == 2) line += btf_sampling_level_size(height, level);
-  return line * 2 * width + column;
+  out->layers = (out->planes + LAYER_PLANES - 1) / LAYER_PLANES;
+}
+
+void btfi_laplacian_component_place(const btfi_laplacian_packing *p, uint32_t level, uint32_t channel,
+                                    uint32_t component, uint32_t *plane, uint32_t *part) {
+  if (channel == LAPLACIAN_Y) {
+    *plane = component / 4;
+    *part = component % 4;
+  } else {
+    *plane = p->luma[level] + component / 2;
+    *part = 2 * (channel - 1) + component % 2;
+  }
+}
+
+uint64_t btfi_laplacian_eigen_place(const btfi_laplacian_packing *p, uint32_t level, uint32_t plane,
+                                    uint32_t light, uint32_t view) {
+  return ((uint64_t)level * p->views + view) * p->planes * p->lights + (uint64_t)plane * p->lights + light;
+}
+
+uint64_t btfi_laplacian_weight_place(const btfi_laplacian_packing *p, uint32_t level, uint32_t plane,
+                                     uint32_t x, uint32_t y) {
+  const uint32_t quadrant = plane % LAYER_PLANES;
+  const uint64_t column = (uint64_t)p->column[level] + x + (quadrant == 1 ? p->level_width[level] : 0);
+  const uint64_t line = (uint64_t)p->line[level] + y + (quadrant == 2 ? p->level_height[level] : 0);
+  return line * p->width + column;
 }
 
 static float table_value(const btfi_laplacian_state *s, const unsigned char *row, uint32_t i) {
@@ -38,43 +62,34 @@ static float table_value(const btfi_laplacian_state *s, const unsigned char *row
   return btf_half_to_float((uint16_t)(row[2 * (size_t)i] | row[2 * (size_t)i + 1] << 8));
 }
 
-/* Place of component j of channel c among the floats of the three planes: Cb1 Cb2 Cr1 Cr2 share the last. */
-static void component_place(uint32_t c, uint32_t j, uint32_t *plane, uint32_t *part) {
-  *plane = c == LAPLACIAN_Y ? j / 4 : 2;
-  *part = c == LAPLACIAN_Y ? j % 4 : 2 * (c - 1) + j;
+/* Component `value` of a row of a level, from the tables to part `part` of plane `plane`. */
+static void pack_eigen(const btfi_laplacian_state *s, const btfi_laplacian_packing *p, uint32_t level,
+                       uint32_t value, uint32_t plane, uint32_t part, float *map) {
+  const unsigned char *row = s->eigen;
+  for (uint32_t view = 0; view < p->views; view++)
+    for (uint32_t light = 0; light < p->lights; light++, row += s->layout.row_bytes)
+      map[TEXEL_FLOATS * btfi_laplacian_eigen_place(p, level, plane, light, view) + part] =
+          table_value(s, row, s->layout.first[level] + value);
 }
 
-static void pack_component(const btfi_laplacian_state *s, uint32_t k, uint32_t c, uint32_t j, uint32_t value,
-                           float *eigen_map, float *weight_map) {
-  const uint32_t lights = s->layout.lights, views = s->layout.views, at = s->layout.first[k] + value;
-  uint32_t plane, part;
-  component_place(c, j, &plane, &part);
-  for (uint32_t view = 0; view < views; view++)
-    for (uint32_t light = 0; light < lights; light++) {
-      const unsigned char *row = s->eigen + ((uint64_t)view * lights + light) * s->layout.row_bytes;
-      eigen_map[TEXEL_FLOATS * btfi_laplacian_eigen_place(lights, views, k, plane, light, view) + part] =
-          table_value(s, row, at);
-    }
-  for (uint32_t y = 0; y < s->grid.height[k]; y++)
-    for (uint32_t x = 0; x < s->grid.width[k]; x++) {
-      const unsigned char *row =
-          s->weights[k] + ((uint64_t)y * s->grid.width[k] + x) * s->layout.texel_bytes[k];
-      const uint64_t place = btfi_laplacian_weight_place(s->grid.width[0], s->grid.height[0], k, plane, x, y);
-      weight_map[TEXEL_FLOATS * place + part] =
-          table_value(s, row, value) * s->scale[(size_t)c * s->scale_stride + at];
-    }
+static void pack_weights(const btfi_laplacian_state *s, const btfi_laplacian_packing *p, uint32_t level,
+                         uint32_t value, float scale, uint32_t plane, uint32_t part, float *map) {
+  const unsigned char *row = s->weights[level];
+  for (uint32_t y = 0; y < p->level_height[level]; y++)
+    for (uint32_t x = 0; x < p->level_width[level]; x++, row += s->layout.texel_bytes[level])
+      map[TEXEL_FLOATS * btfi_laplacian_weight_place(p, level, plane, x, y) + part] =
+          table_value(s, row, value) * scale;
 }
 
-bool btfi_laplacian_pack(const btfi_laplacian_state *s, float *eigen_map, float *weight_map) {
-  const uint32_t levels = s->head.levels;
-  for (uint32_t k = 0; k < levels; k++)
-    for (uint32_t c = 0; c < 3; c++)
-      if (s->head.count[k][c] > plane_components[c]) return false;
-  memset(eigen_map, 0, btfi_laplacian_eigen_map_bytes(s->layout.lights, s->layout.views, levels));
-  memset(weight_map, 0, btfi_laplacian_weight_map_bytes(s->grid.width[0], s->grid.height[0]));
-  for (uint32_t k = 0; k < levels; k++)
-    for (uint32_t c = 0, value = 0; c < 3; c++)
-      for (uint32_t j = 0; j < s->head.count[k][c]; j++, value++)
-        pack_component(s, k, c, j, value, eigen_map, weight_map);
-  return true;
+void btfi_laplacian_pack(const btfi_laplacian_state *s, const btfi_laplacian_packing *p, float *eigen_map,
+                         float *const *weight_layers) {
+  for (uint32_t k = 0; k < p->levels; k++)
+    for (uint32_t c = 0, value = 0; c < LAPLACIAN_CHANNELS; c++)
+      for (uint32_t j = 0; j < s->head.count[k][c]; j++, value++) {
+        const float scale = s->scale[(size_t)c * s->scale_stride + s->layout.first[k] + value];
+        uint32_t plane, part;
+        btfi_laplacian_component_place(p, k, c, j, &plane, &part);
+        pack_eigen(s, p, k, value, plane, part, eigen_map);
+        pack_weights(s, p, k, value, scale, plane, part, weight_layers[plane / LAYER_PLANES]);
+      }
 }

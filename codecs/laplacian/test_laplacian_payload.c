@@ -12,48 +12,145 @@ extern const btf_codec_vtbl btf_codec_laplacian;
 
 /* ---- packing ---- */
 
-/* LAP08, LAP09, LAP10, FOM11: the printed sizes, to the byte. */
+static btfi_laplacian_packing packing_of(uint32_t width, uint32_t height, uint32_t levels, uint32_t y,
+                                         uint32_t cb, uint32_t cr) {
+  const btfi_laplacian_grid grid =
+      btfi_laplacian_grid_of(LAPLACIAN_PAPER_FILTER, BTF_WRAP_PERIODIC, levels, width, height);
+  btfi_laplacian_head head = {.levels = levels};
+  btfi_laplacian_packing packing;
+  for (uint32_t k = 0; k < levels; k++) {
+    head.count[k][LAPLACIAN_Y] = y;
+    head.count[k][LAPLACIAN_CB] = cb;
+    head.count[k][LAPLACIAN_CR] = cr;
+  }
+  btfi_laplacian_packing_of(&head, &grid, 9, 7, &packing);
+  return packing;
+}
+
+/* Pairs and texels of full rank that take next to no memory: a sample is the entry of one list at the sum of
+ * its places. */
+static material list_material(btf_context *ctx, uint32_t side) {
+  material m = {.width = side, .height = side, .channels = 3};
+  btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+  assert_ok(btf_dirset_create_named(ctx, "ubo81", &m.directions));
+  m.count = btf_dirset_count(m.directions);
+  const uint32_t steps[5] = {211, 7, 3, 97, 1};
+  const size_t values = (m.count - 1) * (steps[0] + steps[1]) + (side - 1) * (steps[2] + steps[3]) + 3;
+  m.samples = malloc(values * sizeof *m.samples);
+  for (size_t i = 0; i < values; i++) m.samples[i] = test_random();
+  desc.lights = desc.views = m.directions;
+  desc.width = desc.height = side;
+  desc.channels = 3;
+  desc.wrap = BTF_WRAP_PERIODIC;
+  desc.quantity = BTF_QUANTITY_BRDF;
+  desc.data = desc.user = m.samples;
+  desc.release = free;
+  desc.strides = (btf_strides){4 * (ptrdiff_t)steps[0], 4 * (ptrdiff_t)steps[1], 4 * (ptrdiff_t)steps[3],
+                               4 * (ptrdiff_t)steps[2], 4};
+  assert_ok(btf_dataset_create(ctx, &desc, &m.ds));
+  return m;
+}
+
+static btf_gpu_texture exported(const btf_gpu_export *e, const char *name) {
+  for (uint32_t i = 0; i < btf_gpu_texture_count(e); i++) {
+    btf_gpu_texture t = BTF_GPU_TEXTURE_INIT;
+    assert_ok(btf_gpu_texture_at(e, i, &t));
+    if (strcmp(t.name, name) == 0) return t;
+  }
+  fail_msg("no texture %s", name);
+  return (btf_gpu_texture)BTF_GPU_TEXTURE_INIT;
+}
+
+static uint64_t exported_bytes(const btf_gpu_export *e, const char *name, uint32_t width, uint32_t height) {
+  const btf_gpu_texture t = exported(e, name);
+  assert_int_equal(t.dimension, BTF_TEXTURE_2D);
+  assert_int_equal(t.texel, BTF_TEXEL_RGBA32_FLOAT);
+  assert_int_equal(t.width, width);
+  assert_int_equal(t.height, height);
+  assert_int_equal(t.level_count, 1);
+  return t.levels[0].size;
+}
+
+/* LAP08, LAP09, LAP10, FOM11: an export of the paper's settings has the printed sizes, to the byte. */
 static void test_sizes_of_maps(void **unused) {
   (void)unused;
-  const uint64_t eigen = btfi_laplacian_eigen_map_bytes(81, 81, 5),
-                 weights = btfi_laplacian_weight_map_bytes(64, 64);
+  btf_context *ctx = test_context(&memory);
+  material m = list_material(ctx, 64);
+  btf_model *model = laplacian_fit(ctx, &m, "filter=paper levels=5 accuracy=0.1");
+  btf_gpu_export *e;
+  assert_ok(btf_gpu_export_create(model, NULL, &e));
+  const uint64_t eigen = exported_bytes(e, "btf_eigen_map", 3 * 81, 5 * 81);
+  const uint64_t weights = exported_bytes(e, "btf_weights_map", 128, 128);
   assert_int_equal(eigen, 1574640);
   assert_int_equal(weights, 262144);
   assert_int_equal(eigen + weights, 1836784);
   const double ratio = 80621568.0 / (double)(eigen + weights);
   assert_near(ratio, 43.9, 0.05);
-  assert_near(81.0 * 81.0 * 256.0 * 256.0 * 3.0 / (double)(eigen + btfi_laplacian_weight_map_bytes(256, 256)),
+  const btfi_laplacian_packing large = packing_of(256, 256, 5, 8, 2, 2);
+  assert_near(81.0 * 81.0 * 256.0 * 256.0 * 3.0 / (double)(eigen + 16 * (uint64_t)large.width * large.height),
               223.6, 0.05);
   print_message("eigen map %llu bytes, weight map %llu bytes, %.1f times smaller than the images\n",
                 (unsigned long long)eigen, (unsigned long long)weights, ratio);
+  btf_gpu_export_release(e);
+  btf_model_release(model);
+  material_release(&m);
+  test_context_done(ctx, &memory);
+}
+
+/* A model whose maps are too large for a target says so, and that the other layout would do. */
+static void test_maps_beyond_a_target(void **unused) {
+  (void)unused;
+  btf_context *ctx = test_context(&memory);
+  material m = material_create(ctx, MATERIAL_GLOSSY, "grid:4x2", 20, 6, 3, true, BTF_WRAP_PERIODIC);
+  btf_model *model = laplacian_fit(ctx, &m, "levels=2");
+  btf_gpu_target target = BTF_GPU_TARGET_INIT;
+  btf_gpu_export *e;
+  target.max_2d = 39; /* of 40 */
+  assert_status(btf_gpu_export_create(model, &target, &e), BTF_E_LIMIT);
+  assert_non_null(strstr(btf_error_message(), "\"arrays\""));
+  btf_model_release(model);
+  material_release(&m);
+  test_context_done(ctx, &memory);
+}
+
+static unsigned char *unused_places(uint64_t places) {
+  unsigned char *used = calloc(places, 1);
+  assert_non_null(used);
+  return used;
 }
 
 /* LAP09: every component has a place of its own; five levels of 64 x 64 fill 3.996 of 4 r^2 texels. */
 static void test_layout_is_free_of_collisions(void **unused) {
   (void)unused;
-  const uint32_t shapes[][3] = {{64, 64, 5}, {16, 8, 4}, {12, 7, 3}, {1, 9, 4}, {33, 2, 6}, {1, 1, 1}};
-  for (size_t i = 0; i < 6; i++) {
-    const uint32_t width = shapes[i][0], height = shapes[i][1], levels = shapes[i][2];
-    const uint64_t places = btfi_laplacian_weight_map_bytes(width, height) / 16;
-    unsigned char *used = calloc(places, 1);
+  const uint32_t shapes[][4] = {{64, 64, 5, 3}, {16, 8, 4, 3}, {12, 7, 3, 3}, {1, 9, 4, 3},
+                                {33, 2, 6, 3},  {1, 1, 1, 3},  {16, 8, 4, 7}, {5, 64, 7, 8}};
+  for (size_t i = 0; i < sizeof shapes / sizeof *shapes; i++) {
+    const uint32_t width = shapes[i][0], height = shapes[i][1], levels = shapes[i][2], planes = shapes[i][3];
+    const btfi_laplacian_packing p = packing_of(width, height, levels, 4 * planes - 4, 2, 1);
+    const uint64_t places = (uint64_t)p.width * p.height;
+    unsigned char *used = unused_places(places * p.layers);
     uint64_t filled = 0;
+    assert_int_equal(p.planes, planes);
+    assert_int_equal(p.layers, (planes + 2) / 3);
     for (uint32_t k = 0; k < levels; k++)
-      for (uint32_t plane = 0; plane < LAPLACIAN_PLANES; plane++)
+      for (uint32_t plane = 0; plane < planes; plane++)
         for (uint32_t y = 0; y < btf_sampling_level_size(height, k); y++)
           for (uint32_t x = 0; x < btf_sampling_level_size(width, k); x++, filled++) {
-            const uint64_t place = btfi_laplacian_weight_place(width, height, k, plane, x, y);
-            /* Levels that stay one texel wide grow beyond the quadrants of a paper that has squares alone. */
-            if (k > 0 && (width >> k == 0 || height >> k == 0)) continue;
+            const uint64_t place = btfi_laplacian_weight_place(&p, k, plane, x, y);
             assert_true(place < places);
-            assert_int_equal(used[place]++, 0);
+            assert_int_equal(used[plane / 3 * places + place]++, 0);
           }
     if (i == 0) assert_int_equal(filled, 16368);
+    /* Beyond the paper's size only where levels stay one texel wide. */
+    if ((width >> (levels - 1)) > 0) assert_int_equal(p.width, 2 * width);
+    if ((height >> (levels - 1)) > 0) assert_int_equal(p.height, 2 * height);
     free(used);
   }
-  const uint64_t places = btfi_laplacian_eigen_map_bytes(9, 7, 3) / 16;
-  unsigned char *used = calloc(places, 1);
-  for (uint32_t n = 0; n < 3 * 3 * 9 * 7; n++) {
-    const uint64_t place = btfi_laplacian_eigen_place(9, 7, n / 189, n / 63 % 3, n % 9, n / 9 % 7);
+  const btfi_laplacian_packing p = packing_of(8, 8, 3, 8, 2, 2);
+  const uint64_t places = 3 * 3 * 9 * 7;
+  unsigned char *used = unused_places(places);
+  for (uint32_t n = 0; n < places; n++) {
+    const uint64_t place = btfi_laplacian_eigen_place(&p, n / 189, n / 63 % 3, n % 9, n / 9 % 7);
     assert_true(place < places);
     assert_int_equal(used[place]++, 0);
   }
@@ -61,48 +158,53 @@ static void test_layout_is_free_of_collisions(void **unused) {
 }
 
 /* LAP08: what a shader decodes from the two maps is what the tables decode. */
+static void check_packed(const btf_model *model, const material *m) {
+  const btfi_laplacian_state *s = laplacian_state(model);
+  const uint32_t levels = s->grid.levels, n = m->count;
+  btfi_laplacian_packing p;
+  float *layers[LAPLACIAN_MAX_LAYERS];
+  btfi_laplacian_packing_of(&s->head, &s->grid, n, n, &p);
+  float *eigen = calloc((size_t)p.planes * n * n * levels, 16);
+  for (uint32_t i = 0; i < p.layers; i++) layers[i] = calloc((size_t)p.width * p.height, 16);
+  btfi_laplacian_pack(s, &p, eigen, layers);
+  for (uint32_t turn = 0; turn < 400; turn++) {
+    const uint32_t level = turn % levels, light = turn * 7 % n, view = turn / 3 % n;
+    const uint32_t x = turn * 5 % (16u >> level), y = turn / 2 % (16u >> level);
+    const float *xyz = btf_dirset_directions(m->directions);
+    double sums[3] = {0.0};
+    for (uint32_t k = level; k < levels; k++)
+      for (uint32_t plane = 0; plane < p.planes; plane++) {
+        const float *e = eigen + 4 * btfi_laplacian_eigen_place(&p, k, plane, light, view);
+        const float *w = layers[plane / 3] +
+                         4 * btfi_laplacian_weight_place(&p, k, plane, x >> (k - level), y >> (k - level));
+        for (int part = 0; part < 4; part++)
+          sums[4 * plane < s->head.count[k][LAPLACIAN_Y] ? 0 : 1 + part / 2] += (double)e[part] * w[part];
+      }
+    sums[0] += btfi_laplacian_phong_value(&s->head.phong, xyz + 3 * light, xyz + 3 * view);
+    sums[1] += s->head.chroma[0];
+    sums[2] += s->head.chroma[1];
+    float got[3];
+    btf_model_texel(model, level, x, y, light, view, got);
+    /* 48 products of values below 1, in float here and there. */
+    assert_near(got[0], sums[0] + 1.402 * sums[2], 4e-6);
+    assert_near(got[1], sums[0] - 0.344136286 * sums[1] - 0.714136286 * sums[2], 4e-6);
+    assert_near(got[2], sums[0] + 1.772 * sums[1], 4e-6);
+  }
+  free(eigen);
+  for (uint32_t i = 0; i < p.layers; i++) free(layers[i]);
+}
+
 static void test_packed_equals_tables(void **unused) {
   (void)unused;
   btf_context *ctx = test_context(&memory);
   material m = material_create(ctx, MATERIAL_GLOSSY, "grid:5x3", 16, 16, 3, true, BTF_WRAP_PERIODIC);
-  const char *const settings[] = {"filter=paper levels=4", "filter=paper storage=f32 levels=3 y=5 cr=1"};
-  for (size_t i = 0; i < 2; i++) {
+  const char *const settings[] = {"filter=paper levels=4", "filter=paper storage=f32 levels=3 y=5 cr=1",
+                                  "filter=paper storage=f32 levels=3 y=9 cb=3 cr=4"};
+  for (size_t i = 0; i < sizeof settings / sizeof *settings; i++) {
     btf_model *model = laplacian_fit(ctx, &m, settings[i]);
-    const btfi_laplacian_state *s = laplacian_state(model);
-    const uint32_t levels = s->grid.levels, n = m.count;
-    float *eigen = malloc(btfi_laplacian_eigen_map_bytes(n, n, levels));
-    float *weights = malloc(btfi_laplacian_weight_map_bytes(16, 16));
-    assert_true(btfi_laplacian_pack(s, eigen, weights));
-    for (uint32_t turn = 0; turn < 400; turn++) {
-      const uint32_t level = turn % levels, light = turn * 7 % n, view = turn / 3 % n;
-      const uint32_t x = turn * 5 % (16u >> level), y = turn / 2 % (16u >> level);
-      const float *xyz = btf_dirset_directions(m.directions);
-      double sums[4] = {0.0};
-      for (uint32_t k = level; k < levels; k++)
-        for (uint32_t plane = 0; plane < 3; plane++) {
-          const float *e = eigen + 4 * btfi_laplacian_eigen_place(n, n, k, plane, light, view);
-          const float *w =
-              weights + 4 * btfi_laplacian_weight_place(16, 16, k, plane, x >> (k - level), y >> (k - level));
-          for (int part = 0; part < 4; part++)
-            sums[plane < 2 ? 0 : 1 + part / 2] += (double)e[part] * w[part];
-        }
-      sums[0] += btfi_laplacian_phong_value(&s->head.phong, xyz + 3 * light, xyz + 3 * view);
-      sums[1] += s->head.chroma[0];
-      sums[2] += s->head.chroma[1];
-      float got[3];
-      btf_model_texel(model, level, x, y, light, view, got);
-      /* 48 products of values below 1, in float here and there. */
-      assert_near(got[0], sums[0] + 1.402 * sums[2], 4e-6);
-      assert_near(got[1], sums[0] - 0.344136286 * sums[1] - 0.714136286 * sums[2], 4e-6);
-      assert_near(got[2], sums[0] + 1.772 * sums[1], 4e-6);
-    }
-    free(eigen);
-    free(weights);
+    check_packed(model, &m);
     btf_model_release(model);
   }
-  btf_model *large = laplacian_fit(ctx, &m, "y=9");
-  assert_false(btfi_laplacian_pack(laplacian_state(large), NULL, NULL));
-  btf_model_release(large);
   material_release(&m);
   test_context_done(ctx, &memory);
 }
@@ -177,6 +279,7 @@ static void test_bits(void **unused) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {cmocka_unit_test(test_sizes_of_maps),
+                                     cmocka_unit_test(test_maps_beyond_a_target),
                                      cmocka_unit_test(test_layout_is_free_of_collisions),
                                      cmocka_unit_test(test_packed_equals_tables),
                                      cmocka_unit_test(test_sizes),

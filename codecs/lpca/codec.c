@@ -102,4 +102,6 @@ const btf_codec_vtbl btf_codec_lpca = {
     .eval_n = btfi_lpca_eval_n,
     .texel = btfi_lpca_texel,
     .cost = cost,
+    .gpu_layouts = btfi_lpca_gpu_layouts,
+    .gpu = btfi_lpca_gpu,
 };

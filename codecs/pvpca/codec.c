@@ -86,4 +86,6 @@ const btf_codec_vtbl btf_codec_pvpca = {
     .eval_n = btfi_pvpca_eval_n,
     .texel = btfi_pvpca_texel,
     .cost = cost,
+    .gpu_layouts = btfi_pvpca_gpu_layouts,
+    .gpu = btfi_pvpca_gpu,
 };

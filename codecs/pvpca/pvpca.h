@@ -220,4 +220,11 @@ void btfi_pvpca_eval_n(const void *state, const btf_batch *batch, float *const *
 void btfi_pvpca_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light,
                       uint32_t view, float *out);
 
+/* ---- export for a GPU (gpu.c) ---- */
+
+extern const btf_gpu_layout_desc *const btfi_pvpca_gpu_layouts[];
+btf_status btfi_pvpca_gpu(const btf_host *host, btf_context *ctx, const void *state,
+                        const btf_model_shape *shape, uint32_t layout, const btf_gpu_target *target,
+                        btf_gpu_builder *out);
+
 #endif

@@ -6,5 +6,6 @@
 #include "btf_dataset.h"
 #include "btf_model.h"
 #include "btf_format.h"
+#include "btf_gpu.h"
 #include "btf_io.h"
 #endif

@@ -11,6 +11,7 @@
 #define LIBBTF_BTF_PLUGIN_H
 
 #include "btf_format.h"
+#include "btf_gpu.h"
 #include "btf_model.h"
 
 #ifdef __cplusplus
@@ -93,6 +94,35 @@ typedef struct btf_statistics {
 typedef void (*btf_abrdf_fn)(void *user, uint32_t level, uint32_t x, uint32_t y, const float *abrdf, uint32_t thread);
 
 enum { BTF_TRANSPOSE_A = 1u << 0, BTF_TRANSPOSE_B = 1u << 1 };
+
+/** Collects textures, numbers and shader text of one model while they are made ready for a GPU. */
+typedef struct btf_gpu_builder btf_gpu_builder;
+
+enum {
+  /** One 3D texture instead of layers: what the papers call a stack. Never filtered along its depth. */
+  BTF_GPU_STACK = 1u << 0,
+  /** The sampler filters within a slice, and between levels. */
+  BTF_GPU_FILTERED = 1u << 1,
+  /** Its texels and levels are those of the material. */
+  BTF_GPU_MATERIAL = 1u << 2
+};
+/** Texels that the shader reads by their numbers: `levels` times `slices` images of width x height, halved as
+ *  btf_level_pair says. What exceeds the layers of one texture becomes several. In the shader, with `name` btf_u:
+ *    vec4 btf_u(int x, int y, int slice, int level)
+ *    vec4 btf_u_mix(btf_place p, int slice)            the blend around p = btf_place_of(uv, lod), fetch by fetch, with
+ *                                                     BTF_GPU_MATERIAL
+ *    vec4 btf_u_at(vec2 uv, int slice, float lod)      the same by the sampler, with BTF_GPU_FILTERED */
+typedef struct btf_gpu_table {
+  size_t struct_size;
+  const char *name; /**< begins with btf_ */
+  uint32_t texel, width, height, slices, levels, wrap, flags;
+  uint32_t reserved; /**< must be 0 */
+} btf_gpu_table;
+
+/** A layout that a codec exports. FROZEN. */
+typedef struct btf_gpu_layout_desc {
+  const char *name, *summary;
+} btf_gpu_layout_desc;
 
 /** What the library offers a codec. Grows at its end only. */
 typedef struct btf_host {
@@ -200,6 +230,22 @@ typedef struct btf_host {
   void (*dirset_release)(btf_dirset *set);
   btf_status (*dataset_create)(btf_context *ctx, const btf_dataset_desc *desc, btf_dataset **out);
   btf_status (*source_error)(btf_status code, const char *format, ...) LIBBTF_PRINTF(2, 3);
+
+  /* For `gpu` of a codec (docs/gpu-export.md). Names are copied.
+   * gpu_table: *number names the table in gpu_slice, which returns where the texels of one image go, zeroed, rows
+   * without gaps; NULL for an image that the table does not have. gpu_uniform: `count` > 1 makes an array; values are
+   * packed floats or int32_t, std140 is seen to. gpu_directions: the shader gets
+   *   void btf_locate_NAME(vec3 direction, out ivec3 index, out vec3 weight)
+   * for a set of directions; equal sets share textures. gpu_cost adds to what their search costs.
+   * gpu_source appends shader text; it defines
+   *   vec3 btf_stored(vec3 light, vec3 view, vec2 uv, float lod)
+   * and may call what docs/gpu-export.md lists. */
+  btf_status (*gpu_table)(btf_gpu_builder *b, const btf_gpu_table *table, uint32_t *number);
+  void *(*gpu_slice)(btf_gpu_builder *b, uint32_t number, uint32_t level, uint32_t slice);
+  btf_status (*gpu_uniform)(btf_gpu_builder *b, const char *name, uint32_t type, uint32_t count, const void *values);
+  btf_status (*gpu_directions)(btf_gpu_builder *b, const char *name, const btf_dirset *set);
+  btf_status (*gpu_source)(btf_gpu_builder *b, const char *format, ...) LIBBTF_PRINTF(2, 3);
+  void (*gpu_cost)(btf_gpu_builder *b, const btf_gpu_cost *cost);
 } btf_host;
 
 /** A codec. Copied at registration; optional slots may be NULL. Grows at its end only. `state` is what load made.
@@ -232,6 +278,11 @@ typedef struct btf_codec_vtbl {
   void (*texel)(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view, float *out);
   /** Optional: what a query costs, as btf_model_cost. `out` comes zeroed with struct_size set. */
   void (*cost)(const void *state, uint32_t flags, btf_eval_cost *out);
+  /** Optional: layouts for a GPU, the default first, NULL-terminated; and what makes layout number `layout`. The target
+   *  comes without zeros. Both or none. */
+  const btf_gpu_layout_desc *const *gpu_layouts;
+  btf_status (*gpu)(const btf_host *host, btf_context *ctx, const void *state, const btf_model_shape *shape,
+                    uint32_t layout, const btf_gpu_target *target, btf_gpu_builder *out);
 } btf_codec_vtbl;
 
 /** What a format sees of a file or folder before it says whether it is its own. FROZEN. */

@@ -3,6 +3,7 @@
 #ifndef BTFI_BASE_H
 #define BTFI_BASE_H
 
+#include <stdarg.h>
 #include <stdatomic.h>
 #include <stdbool.h>
 #include <stdint.h>
@@ -10,6 +11,7 @@
 #include <btf/btf_base.h>
 
 #define BTFI_STRINGIFY_(x) #x
+#define BTFI_STRINGIFY(x) BTFI_STRINGIFY_(x)
 #define BTFI_MIN(a, b) ((a) < (b) ? (a) : (b))
 #define BTFI_MAX(a, b) ((a) > (b) ? (a) : (b))
 
@@ -156,6 +158,7 @@ void btfi_put_u64(btfi_buffer *b, uint64_t v);
 void btfi_put_f32(btfi_buffer *b, float v);
 void btfi_put_f64(btfi_buffer *b, double v);
 void btfi_put_text(btfi_buffer *b, const char *format, ...) LIBBTF_PRINTF(2, 3); /* no NUL; in the C locale */
+void btfi_put_text_of(btfi_buffer *b, const char *format, va_list arguments) LIBBTF_PRINTF(2, 0);
 
 /* Bytes of the valid UTF-8 sequence at the start of the text, 0 if there is none. */
 uint32_t btfi_utf8_length(const void *text, uint64_t size);

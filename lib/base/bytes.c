@@ -120,16 +120,15 @@ void btfi_put_f64(btfi_buffer *b, double v) {
   btfi_put_u64(b, bits);
 }
 
-void btfi_put_text(btfi_buffer *b, const char *format, ...) {
+void btfi_put_text_of(btfi_buffer *b, const char *format, va_list arguments) {
   if (b->status != BTF_OK) return;
   /* The host's locale may print numbers with a comma, which no file may contain. */
   const locale_t c_locale = newlocale(LC_ALL_MASK, "C", (locale_t)0);
   const locale_t host_locale = c_locale ? uselocale(c_locale) : (locale_t)0;
   char line[256];
-  va_list arguments;
-  va_start(arguments, format);
+  va_list again;
+  va_copy(again, arguments);
   const int length = vsnprintf(line, sizeof line, format, arguments);
-  va_end(arguments);
   if (length < 0) {
     b->status = btfi_fail(b->ctx, BTF_E_INVALID_ARG, "text: cannot be formatted by \"%s\"", format);
   } else if ((size_t)length < sizeof line) {
@@ -137,16 +136,22 @@ void btfi_put_text(btfi_buffer *b, const char *format, ...) {
   } else {
     char *p = (char *)grow(b, (uint64_t)length + 1);
     if (p) {
-      va_start(arguments, format);
-      vsnprintf(p, (size_t)length + 1, format, arguments);
-      va_end(arguments);
+      vsnprintf(p, (size_t)length + 1, format, again);
       b->size--;
     }
   }
+  va_end(again);
   if (c_locale) {
     uselocale(host_locale);
     freelocale(c_locale);
   }
+}
+
+void btfi_put_text(btfi_buffer *b, const char *format, ...) {
+  va_list arguments;
+  va_start(arguments, format);
+  btfi_put_text_of(b, format, arguments);
+  va_end(arguments);
 }
 
 /* ---- UTF-8 ---- */

@@ -1,30 +1,13 @@
 /* SPDX-License-Identifier: MIT */
 #include "dataset/dataset_parts.h"
-#include "dataset/folder.h"
 #include "dataset/manifest.h"
+#include "io/folder.h"
 
 #include <errno.h>
 #include <inttypes.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/stat.h>
-
-btf_status btfi_path_join(btf_context *ctx, const char *folder, const char *name, char **out) {
-  size_t length = strlen(folder);
-  while (length > 1 && folder[length - 1] == '/') --length;
-  const size_t size = length + strlen(name) + 2;
-  *out = btfi_alloc(ctx, size, 1);
-  if (!*out) return btfi_alloc_status();
-  snprintf(*out, size, "%.*s/%s", (int)length, folder, name);
-  return BTF_OK;
-}
-
-int btfi_folder_stat(const char *path, struct stat *entry) {
-  const int code = btfi_io_fault ? btfi_io_fault("stat") : 0;
-  if (code == 0) return stat(path, entry);
-  errno = code;
-  return -1;
-}
 
 static btf_status read_manifest(btf_context *ctx, const char *path, const char *file, btfi_manifest *m) {
   struct stat entry;

@@ -4,13 +4,14 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
+#include <limits.h>
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "dataset/dataset_parts.h"
-#include "dataset/folder.h"
 #include "dataset/pieces.h"
+#include "io/folder.h"
 #include "io/system.h"
 
 #define SAMPLES_FILE "samples.bin"
@@ -37,6 +38,25 @@ btf_status btfi_writer_pwrite(const btf_dataset_writer *w, const void *src, uint
   }
   return BTF_OK;
 }
+
+/* ---- the folder ---- */
+
+static bool find_files(btf_context *ctx, const char *path, btfi_buffer *files) {
+  char *file = NULL, *text = NULL, samples[NAME_MAX + 1];
+  uint64_t size = 0;
+  bool ours = false;
+  if (btfi_path_join(ctx, path, BTFI_MANIFEST_FILE, &file) != BTF_OK) return false;
+  if (btfi_read_file(ctx, file, btfi_manifest_most_bytes, &text, &size) == BTF_OK)
+    ours = btfi_manifest_is_ours(ctx, file, text, size, samples, sizeof samples);
+  btfi_free(ctx, text);
+  btfi_free(ctx, file);
+  if (!ours) return false;
+  btfi_put_bytes(files, BTFI_MANIFEST_FILE, sizeof BTFI_MANIFEST_FILE);
+  btfi_put_bytes(files, samples, strlen(samples) + 1);
+  return true;
+}
+
+static const btfi_folder_kind folder_kind = {"data-set folder", find_files};
 
 /* ---- life ---- */
 
@@ -82,7 +102,7 @@ static btf_status check_manifest(const btf_dataset_writer *w) {
 
 static btf_status open_folder(btf_dataset_writer *w) {
   const uint64_t bytes = w->cells * w->desc.channels * w->kernels.sample_size;
-  BTFI_TRY(btfi_folder_may_take(w->ctx, w->path, NULL));
+  BTFI_TRY(btfi_folder_may_take(w->ctx, &folder_kind, w->path, NULL));
   BTFI_TRY(btfi_folder_make_beside(w->ctx, w->path, &w->temporary));
   BTFI_TRY(btfi_path_join(w->ctx, w->temporary, SAMPLES_FILE, &w->samples_path));
   w->fd = btfi_sys_open(AT_FDCWD, w->samples_path, O_RDWR | O_CREAT | O_EXCL, 0666);
@@ -160,9 +180,9 @@ static void free_writer(btf_dataset_writer *w) {
 }
 
 void btf_dataset_writer_abort(btf_dataset_writer *w) {
-  static const char *const files[] = {SAMPLES_FILE, BTFI_MANIFEST_FILE};
+  static const char files[] = SAMPLES_FILE "\0" BTFI_MANIFEST_FILE;
   if (!w) return;
-  if (w->temporary) btfi_folder_remove(w->ctx, w->temporary, files, 2);
+  if (w->temporary) btfi_folder_remove(w->ctx, w->temporary, files, sizeof files);
   free_writer(w);
 }
 
@@ -372,7 +392,7 @@ static btf_status finish(btf_dataset_writer *w) {
   const int folder = btfi_sys_open(AT_FDCWD, w->temporary, O_RDONLY | O_DIRECTORY, 0);
   if (folder < 0) return fail_io(w, w->temporary, "cannot be opened");
   BTFI_TRY(sync_and_close(w, w->temporary, folder));
-  return btfi_folder_place(w->ctx, w->temporary, w->path);
+  return btfi_folder_place(w->ctx, &folder_kind, w->temporary, w->path);
 }
 
 btf_status btf_dataset_writer_finish(btf_dataset_writer *w) {

@@ -42,6 +42,8 @@ static btf_status check_slots(btf_context *ctx, const btf_codec_vtbl *v) {
                      v->id);
   if ((v->caps & BTF_CAP_STREAM_FIT) != 0 && v->fit == NULL)
     return btfi_fail(ctx, BTF_E_PLUGIN, "%s: BTF_CAP_STREAM_FIT without the function `fit`", v->id);
+  if ((v->gpu != NULL) != (v->gpu_layouts != NULL && v->gpu_layouts[0] != NULL))
+    return btfi_fail(ctx, BTF_E_PLUGIN, "%s: `gpu` and `gpu_layouts` must come together", v->id);
   return BTF_OK;
 }
 

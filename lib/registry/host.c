@@ -109,6 +109,12 @@ static const btf_host host = {
     .dirset_release = btf_dirset_release,
     .dataset_create = btf_dataset_create,
     .source_error = btf_source_error,
+    .gpu_table = btfi_gpu_table,
+    .gpu_slice = btfi_gpu_slice,
+    .gpu_uniform = btfi_gpu_uniform,
+    .gpu_directions = btfi_gpu_directions,
+    .gpu_source = btfi_gpu_source,
+    .gpu_cost = btfi_gpu_cost,
 };
 
 const btf_host *btfi_host(void) {

@@ -27,4 +27,13 @@ double btfi_option(const btf_options *options, const char *name);
 const char *btfi_option_text(const btf_options *options, const char *name);
 int32_t btfi_option_is_set(const btf_options *options, const char *name);
 
+/* Host table entries that the gpu layer defines. */
+btf_status btfi_gpu_table(btf_gpu_builder *b, const btf_gpu_table *table, uint32_t *number);
+void *btfi_gpu_slice(btf_gpu_builder *b, uint32_t number, uint32_t level, uint32_t slice);
+btf_status btfi_gpu_uniform(btf_gpu_builder *b, const char *name, uint32_t type, uint32_t count,
+                            const void *values);
+btf_status btfi_gpu_directions(btf_gpu_builder *b, const char *name, const btf_dirset *set);
+btf_status btfi_gpu_source(btf_gpu_builder *b, const char *format, ...) LIBBTF_PRINTF(2, 3);
+void btfi_gpu_cost(btf_gpu_builder *b, const btf_gpu_cost *cost);
+
 #endif

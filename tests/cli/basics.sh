@@ -89,8 +89,6 @@ expect "a plug-in that is no module" 4 "text.so"
 rm text.so
 run codecs nosuchcodec
 expect "unknown codec" 1 "nosuchcodec"
-run export x -o y
-expect "export" 5 "later version"
 run codecs
 expect "codecs" 0 ""
 run codecs --json

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-#include "dataset/folder.h"
+#include "io/folder.h"
 
 #include <dirent.h>
 #include <errno.h>
@@ -9,7 +9,6 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "dataset/manifest.h"
 #include "io/system.h"
 
 static bool fault(const char *call) {
@@ -23,28 +22,38 @@ static btf_status fail_io(btf_context *ctx, const char *path, const char *proble
   return btfi_fail(ctx, BTF_E_IO, "%s: %s: %s", path, problem, strerror(code));
 }
 
-/* What the samples of the data set in a folder are called; false when there is no data set. */
-static bool find_samples(btf_context *ctx, const char *path, char *samples, size_t samples_size) {
-  char *file = NULL, *text = NULL;
-  uint64_t size = 0;
-  bool ours = false;
-  if (btfi_path_join(ctx, path, BTFI_MANIFEST_FILE, &file) != BTF_OK) return false;
-  if (btfi_read_file(ctx, file, btfi_manifest_most_bytes, &text, &size) == BTF_OK)
-    ours = btfi_manifest_is_ours(ctx, file, text, size, samples, samples_size);
-  btfi_free(ctx, text);
-  btfi_free(ctx, file);
-  return ours;
+btf_status btfi_path_join(btf_context *ctx, const char *folder, const char *name, char **out) {
+  size_t length = strlen(folder);
+  while (length > 1 && folder[length - 1] == '/') --length;
+  const size_t size = length + strlen(name) + 2;
+  *out = btfi_alloc(ctx, size, 1);
+  if (!*out) return btfi_alloc_status();
+  snprintf(*out, size, "%.*s/%s", (int)length, folder, name);
+  return BTF_OK;
 }
 
-btf_status btfi_folder_may_take(btf_context *ctx, const char *path, bool *exists) {
+int btfi_folder_stat(const char *path, struct stat *entry) {
+  return fault("stat") ? -1 : stat(path, entry);
+}
+
+/* Whether the folder is of the kind, for callers that do not ask for its files. */
+static bool is_of(btf_context *ctx, const btfi_folder_kind *kind, const char *path) {
+  btfi_buffer files;
+  btfi_buffer_init(&files, ctx);
+  const bool found = kind->find(ctx, path, &files);
+  btfi_buffer_free(&files);
+  return found;
+}
+
+btf_status btfi_folder_may_take(btf_context *ctx, const btfi_folder_kind *kind, const char *path,
+                                bool *exists) {
   struct stat entry;
-  char samples[NAME_MAX + 1];
   if (exists) *exists = false;
   if (fault("stat") || lstat(path, &entry) != 0)
     return errno == ENOENT ? BTF_OK : fail_io(ctx, path, "cannot be looked at");
   if (exists) *exists = true;
-  if (S_ISDIR(entry.st_mode) && find_samples(ctx, path, samples, sizeof samples)) return BTF_OK;
-  return btfi_fail(ctx, BTF_E_IO, "%s: exists and is not a data-set folder; it is not replaced", path);
+  if (S_ISDIR(entry.st_mode) && is_of(ctx, kind, path)) return BTF_OK;
+  return btfi_fail(ctx, BTF_E_IO, "%s: exists and is not a %s; it is not replaced", path, kind->title);
 }
 
 /* The path without slashes at its end, up to its last name, and that name. */
@@ -96,18 +105,25 @@ btf_status btfi_folder_make_beside(btf_context *ctx, const char *path, char **ou
   return fail_io(ctx, path, "a folder beside it cannot be made");
 }
 
-void btfi_folder_remove(btf_context *ctx, const char *folder, const char *const *files, int count) {
+void btfi_folder_remove(btf_context *ctx, const char *folder, const char *files, uint64_t size) {
   /* Without the seam and without a result: nothing better can be done when cleaning up fails. */
-  for (int i = 0; i < count; ++i) {
+  for (const char *name = files; name < files + size; name += strlen(name) + 1) {
     char path[PATH_MAX];
-    if (snprintf(path, sizeof path, "%s/%s", folder, files[i]) < (int)sizeof path) unlink(path);
+    if (snprintf(path, sizeof path, "%s/%s", folder, name) < (int)sizeof path) unlink(path);
   }
   if (rmdir(folder) != 0 && errno != ENOENT)
     btfi_log(ctx, BTF_LOG_WARNING, "%s: cannot be removed: %s", folder, strerror(errno));
 }
 
-/* Files beside a data set, such as notes or pictures, belong to somebody else. */
-static void move_other_files(const char *from, const char *to, const char *samples) {
+static bool is_listed(const char *name, const btfi_buffer *files) {
+  const char *end = (const char *)files->data + files->size;
+  for (const char *file = (const char *)files->data; file < end; file += strlen(file) + 1)
+    if (strcmp(name, file) == 0) return true;
+  return false;
+}
+
+/* Files beside ours, such as notes or pictures, belong to somebody else. */
+static void move_other_files(const char *from, const char *to, const btfi_buffer *files) {
   DIR *folder = opendir(from);
   struct dirent *entry;
   char old_path[PATH_MAX], new_path[PATH_MAX];
@@ -115,9 +131,7 @@ static void move_other_files(const char *from, const char *to, const char *sampl
   while ((entry = readdir(folder)) != NULL) {
     const char *name = entry->d_name;
     struct stat there;
-    if (!strcmp(name, ".") || !strcmp(name, "..") || !strcmp(name, BTFI_MANIFEST_FILE) ||
-        !strcmp(name, samples))
-      continue;
+    if (!strcmp(name, ".") || !strcmp(name, "..") || is_listed(name, files)) continue;
     if (snprintf(old_path, sizeof old_path, "%s/%s", from, name) < (int)sizeof old_path &&
         snprintf(new_path, sizeof new_path, "%s/%s", to, name) < (int)sizeof new_path &&
         lstat(new_path, &there) != 0 && rename(old_path, new_path) != 0)
@@ -126,27 +140,33 @@ static void move_other_files(const char *from, const char *to, const char *sampl
   closedir(folder);
 }
 
-static btf_status replace(btf_context *ctx, const char *temporary, const char *path) {
-  char samples[NAME_MAX + 1];
+static btf_status exchange(btf_context *ctx, const char *temporary, const char *path, const char *old,
+                           const btfi_buffer *files) {
+  if (btfi_sys_rename(AT_FDCWD, path, old) != 0) return fail_io(ctx, path, "cannot be replaced");
+  if (btfi_sys_rename(AT_FDCWD, temporary, path) != 0) {
+    const btf_status status = fail_io(ctx, path, "cannot be put in place");
+    if (rename(old, path) != 0) btfi_log(ctx, BTF_LOG_WARNING, "%s: what was there is now %s", path, old);
+    return status;
+  }
+  move_other_files(old, path, files);
+  btfi_folder_remove(ctx, old, (const char *)files->data, files->size);
+  return BTF_OK;
+}
+
+static btf_status replace(btf_context *ctx, const btfi_folder_kind *kind, const char *temporary,
+                          const char *path) {
   btfi_random random;
-  if (!find_samples(ctx, path, samples, sizeof samples))
-    return btfi_fail(ctx, BTF_E_IO, "%s: is no longer a data-set folder; it is not replaced", path);
+  btfi_buffer files;
+  btfi_buffer_init(&files, ctx);
+  if (!kind->find(ctx, path, &files) || btfi_buffer_status(&files) != BTF_OK) {
+    btfi_buffer_free(&files);
+    return btfi_fail(ctx, BTF_E_IO, "%s: is no longer a %s; it is not replaced", path, kind->title);
+  }
   seed_names(&random);
   char *old = beside(ctx, path, "old", btfi_random_u64(&random));
-  if (!old) return btfi_alloc_status();
-  btf_status status = BTF_OK;
-  if (btfi_sys_rename(AT_FDCWD, path, old) != 0) {
-    status = fail_io(ctx, path, "cannot be replaced");
-  } else if (btfi_sys_rename(AT_FDCWD, temporary, path) != 0) {
-    status = fail_io(ctx, path, "cannot be put in place");
-    if (rename(old, path) != 0)
-      btfi_log(ctx, BTF_LOG_WARNING, "%s: the previous data set is now %s", path, old);
-  } else {
-    const char *const files[] = {BTFI_MANIFEST_FILE, samples};
-    move_other_files(old, path, samples);
-    btfi_folder_remove(ctx, old, files, 2);
-  }
+  const btf_status status = old ? exchange(ctx, temporary, path, old, &files) : btfi_alloc_status();
   btfi_free(ctx, old);
+  btfi_buffer_free(&files);
   return status;
 }
 
@@ -163,11 +183,12 @@ static void sync_parent(btf_context *ctx, const char *path) {
   close(fd);
 }
 
-btf_status btfi_folder_place(btf_context *ctx, const char *temporary, const char *path) {
+btf_status btfi_folder_place(btf_context *ctx, const btfi_folder_kind *kind, const char *temporary,
+                             const char *path) {
   bool exists;
-  BTFI_TRY(btfi_folder_may_take(ctx, path, &exists));
+  BTFI_TRY(btfi_folder_may_take(ctx, kind, path, &exists));
   if (exists)
-    BTFI_TRY(replace(ctx, temporary, path));
+    BTFI_TRY(replace(ctx, kind, temporary, path));
   else if (btfi_sys_rename(AT_FDCWD, temporary, path) != 0)
     return fail_io(ctx, path, "cannot be put in place");
   sync_parent(ctx, path);

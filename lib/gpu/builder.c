@@ -1,0 +1,270 @@
+/* SPDX-License-Identifier: MIT */
+/* builder.c: what a codec adds to an export: tables of texels, numbers, shader text. */
+#include "gpu/gpu.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include <btf/btf_sampling.h>
+
+static const btfi_texel_format formats[] = {
+    {BTF_TEXEL_R8_UNORM, 1, 1, false, false},    {BTF_TEXEL_RG8_UNORM, 2, 1, false, false},
+    {BTF_TEXEL_RGBA8_UNORM, 4, 1, false, false}, {BTF_TEXEL_RGBA8_SNORM, 4, 1, false, true},
+    {BTF_TEXEL_R16_FLOAT, 1, 2, true, true},     {BTF_TEXEL_RG16_FLOAT, 2, 2, true, true},
+    {BTF_TEXEL_RGBA16_FLOAT, 4, 2, true, true},  {BTF_TEXEL_R32_FLOAT, 1, 4, true, true},
+    {BTF_TEXEL_RG32_FLOAT, 2, 4, true, true},    {BTF_TEXEL_RGBA32_FLOAT, 4, 4, true, true},
+};
+
+const btfi_texel_format *btfi_texel_format_of(uint32_t texel) {
+  for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
+    if (formats[i].vk == texel) return &formats[i];
+  return NULL;
+}
+
+static btf_status take_name(btf_gpu_builder *b, const char *name, char out[BTFI_GPU_NAME]) {
+  const size_t length = name != NULL ? strlen(name) : 0;
+  /* Pages append up to four characters, accessors some more. */
+  if (length < 5 || length >= BTFI_GPU_NAME - 16 || strncmp(name, "btf_", 4) != 0)
+    return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: \"%.80s\" is no name of a texture or number",
+                     name != NULL ? name : "");
+  memcpy(out, name, length + 1);
+  return BTF_OK;
+}
+
+/* ---- textures ---- */
+
+static btf_status too_large(const btf_gpu_builder *b, const char *name, const char *what, uint32_t size,
+                            uint32_t most, const char *advice) {
+  return btfi_fail(b->ctx, BTF_E_LIMIT, "GPU export: %s would have %u %s, more than the target's %u; %s",
+                   name, (unsigned)size, what, (unsigned)most, advice);
+}
+
+static btf_status check_table(btf_gpu_builder *b, const btf_gpu_table *t) {
+  const uint32_t side = (t->flags & BTF_GPU_STACK) != 0 ? b->target.max_3d : b->target.max_2d;
+  const uint32_t most_levels = (t->flags & BTF_GPU_STACK) != 0 ? 1 : 32;
+  if (btfi_texel_format_of(t->texel) == NULL || t->width == 0 || t->height == 0 || t->slices == 0 ||
+      t->levels == 0 || t->levels > most_levels ||
+      (t->flags & ~(uint32_t)(BTF_GPU_STACK | BTF_GPU_FILTERED | BTF_GPU_MATERIAL)) != 0 ||
+      t->reserved != 0 || (t->wrap != BTF_WRAP_PERIODIC && t->wrap != BTF_WRAP_CLAMP))
+    return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: table %s makes no sense", t->name);
+  if (t->width > side || t->height > side)
+    return too_large(b, t->name, "texels along a side", BTFI_MAX(t->width, t->height), side,
+                     "a smaller material or fewer directions would do");
+  if ((t->flags & BTF_GPU_STACK) != 0 && t->slices > b->target.max_3d)
+    return too_large(b, t->name, "slices in a stack", t->slices, b->target.max_3d,
+                     "a smaller codebook would do");
+  return BTF_OK;
+}
+
+/* Sizes of all levels and where each begins; false on overflow. */
+static bool measure_levels(btfi_gpu_texture *texture, uint64_t *total) {
+  const btfi_texel_format *format = btfi_texel_format_of(texture->texel);
+  *total = 0;
+  for (uint32_t l = 0; l < texture->level_count; l++) {
+    btf_gpu_level *level = &texture->levels[l];
+    uint64_t padded;
+    level->width = btf_sampling_level_size(texture->width, l);
+    level->height = btf_sampling_level_size(texture->height, l);
+    level->depth = texture->slices;
+    level->reserved = 0;
+    if (!btfi_mul(level->width, level->height, &level->size) ||
+        !btfi_mul(level->size, level->depth, &level->size) ||
+        !btfi_mul(level->size, (uint64_t)format->channels * format->bytes, &level->size) ||
+        !btfi_add(level->size, 63, &padded) || !btfi_add(*total, padded & ~(uint64_t)63, total))
+      return false;
+  }
+  return true;
+}
+
+/* `name` fits: take_name left room for what pages append. */
+static btf_status make_texture(btf_gpu_builder *b, const btf_gpu_table *t, const char *name,
+                               uint32_t slices) {
+  if (b->texture_count == b->target.max_textures || b->texture_count == BTFI_GPU_TEXTURES)
+    return too_large(b, name, "textures before it", b->texture_count,
+                     BTFI_MIN(b->target.max_textures, (uint32_t)BTFI_GPU_TEXTURES),
+                     "a model with fewer components, or a target with more layers, would do");
+  btfi_gpu_texture *texture = &b->texture[b->texture_count];
+  uint64_t total, offset = 0;
+  memcpy(texture->name, name, strlen(name) + 1);
+  texture->dimension = (t->flags & BTF_GPU_STACK) != 0 ? BTF_TEXTURE_3D
+                       : t->slices > 1                 ? BTF_TEXTURE_2D_ARRAY
+                                                       : BTF_TEXTURE_2D;
+  texture->texel = t->texel;
+  texture->width = t->width;
+  texture->height = t->height;
+  texture->slices = slices;
+  texture->level_count = t->levels;
+  texture->wrap = t->wrap;
+  texture->filtered = (t->flags & BTF_GPU_FILTERED) != 0;
+  texture->levels = btfi_calloc(b->ctx, t->levels, sizeof *texture->levels);
+  if (texture->levels == NULL) return btfi_alloc_status();
+  b->texture_count++; /* from here on destroyed with the builder */
+  if (!measure_levels(texture, &total))
+    return btfi_fail(b->ctx, BTF_E_LIMIT, "GPU export: %s is beyond any memory", name);
+  texture->data = btfi_calloc(b->ctx, total, 1);
+  if (texture->data == NULL) return btfi_alloc_status();
+  for (uint32_t l = 0; l < t->levels; l++) {
+    texture->levels[l].data = texture->data + offset;
+    offset += (texture->levels[l].size + 63) & ~(uint64_t)63;
+  }
+  return BTF_OK;
+}
+
+/* ---- the functions that read a table ---- */
+
+static void put_fetch(btfi_buffer *out, const btfi_gpu_texture *texture, const char *slice) {
+  if (texture->dimension == BTF_TEXTURE_2D)
+    btfi_put_text(out, "return texelFetch(%s, ivec2(x, y), level);\n", texture->name);
+  else
+    btfi_put_text(out, "return texelFetch(%s, ivec3(x, y, %s), level);\n", texture->name, slice);
+}
+
+static void put_filtered(btfi_buffer *out, const btfi_gpu_texture *texture, const char *slice) {
+  if (texture->dimension == BTF_TEXTURE_2D)
+    btfi_put_text(out, "return textureLod(%s, uv, lod);\n", texture->name);
+  else if (texture->dimension == BTF_TEXTURE_2D_ARRAY)
+    btfi_put_text(out, "return textureLod(%s, vec3(uv, float(%s)), lod);\n", texture->name, slice);
+  else /* a slice's centre, where its neighbours have no weight (Suykens et al. 2003, sect. 6) */
+    btfi_put_text(out, "return textureLod(%s, vec3(uv, (float(%s) + 0.5) / %u.0), lod);\n", texture->name,
+                  slice, (unsigned)texture->slices);
+}
+
+static void put_accessor(btf_gpu_builder *b, const btf_gpu_table *t, const btfi_gpu_pages *pages,
+                         bool filtered) {
+  btfi_buffer *out = &b->accessor;
+  if (filtered)
+    btfi_put_text(out, "vec4 %s_at(vec2 uv, int slice, float lod) {\n", t->name);
+  else
+    btfi_put_text(out, "vec4 %s(int x, int y, int slice, int level) {\n", t->name);
+  for (uint32_t p = 0; p < pages->pages; p++) {
+    char slice[64] = "slice";
+    if (p > 0) snprintf(slice, sizeof slice, "slice - %u", (unsigned)(p * pages->page));
+    if (p + 1 < pages->pages)
+      btfi_put_text(out, "  if (slice < %u) ", (unsigned)((p + 1) * pages->page));
+    else
+      btfi_put_text(out, "  ");
+    if (filtered)
+      put_filtered(out, &b->texture[pages->first + p], slice);
+    else
+      put_fetch(out, &b->texture[pages->first + p], slice);
+  }
+  btfi_put_text(out, "}\n");
+}
+
+/* The blend of a table's texels around a position. */
+static void put_mix(btf_gpu_builder *b, const char *name) {
+  static const char corners[4][2] = {{'x', 'x'}, {'y', 'x'}, {'x', 'y'}, {'y', 'y'}};
+  static const char weights[4] = {'x', 'y', 'z', 'w'};
+  btfi_put_text(&b->accessor, "vec4 %s_mix(btf_place p, int slice) {\n  vec4 sum = vec4(0.0);\n", name);
+  for (int level = 0; level < 2; level++) {
+    if (level == 1) btfi_put_text(&b->accessor, "  if (p.share > 0.0) {\n");
+    for (int i = 0; i < 4; i++)
+      btfi_put_text(&b->accessor, "  sum += p.weight%d.%c * %s(p.x%d.%c, p.y%d.%c, slice, p.level.%c);\n",
+                    level, weights[i], name, level, corners[i][0], level, corners[i][1],
+                    level == 0 ? 'x' : 'y');
+  }
+  btfi_put_text(&b->accessor, "  }\n  return sum;\n}\n");
+}
+
+btf_status btfi_gpu_table(btf_gpu_builder *b, const btf_gpu_table *user, uint32_t *number) {
+  btf_gpu_table t;
+  char name[BTFI_GPU_NAME], page_name[BTFI_GPU_NAME + 16];
+  *number = UINT32_MAX;
+  BTFI_TRY(btfi_copy_in(b->ctx, "btf_gpu_table", &t, sizeof t, BTFI_SIZE_TO(btf_gpu_table, reserved), user));
+  BTFI_TRY(take_name(b, t.name, name));
+  t.name = name;
+  BTFI_TRY(check_table(b, &t));
+  if (b->table_count == BTFI_GPU_TEXTURES)
+    return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: more than %d tables", BTFI_GPU_TEXTURES);
+  btfi_gpu_pages *pages = &b->table[b->table_count];
+  pages->first = b->texture_count;
+  pages->page = (t.flags & BTF_GPU_STACK) != 0 ? t.slices : BTFI_MIN(t.slices, b->target.max_layers);
+  pages->pages = (t.slices + pages->page - 1) / pages->page;
+  for (uint32_t p = 0; p < pages->pages; p++) {
+    snprintf(page_name, sizeof page_name, pages->pages > 1 ? "%s_map%u" : "%s_map", name, (unsigned)p);
+    BTFI_TRY(make_texture(b, &t, page_name, BTFI_MIN(pages->page, t.slices - p * pages->page)));
+  }
+  put_accessor(b, &t, pages, false);
+  if ((t.flags & BTF_GPU_FILTERED) != 0) put_accessor(b, &t, pages, true);
+  if ((t.flags & BTF_GPU_MATERIAL) != 0) put_mix(b, name);
+  *number = b->table_count++;
+  return btfi_buffer_status(&b->accessor);
+}
+
+void *btfi_gpu_slice(btf_gpu_builder *b, uint32_t number, uint32_t level, uint32_t slice) {
+  if (number >= b->table_count) return NULL;
+  const btfi_gpu_pages *pages = &b->table[number];
+  const uint32_t p = slice / pages->page;
+  if (p >= pages->pages) return NULL;
+  const btfi_gpu_texture *texture = &b->texture[pages->first + p];
+  const uint32_t within = slice - p * pages->page;
+  if (level >= texture->level_count || within >= texture->slices) return NULL;
+  const btf_gpu_level *l = &texture->levels[level];
+  return texture->data + ((const unsigned char *)l->data - texture->data) + l->size / l->depth * within;
+}
+
+/* ---- numbers ---- */
+
+typedef struct uniform_layout {
+  uint32_t components, align, size; /* align and size of one in std140, in bytes */
+} uniform_layout;
+
+static bool uniform_layout_of(uint32_t type, uniform_layout *out) {
+  switch (type) {
+  case BTF_UNIFORM_FLOAT:
+  case BTF_UNIFORM_INT:
+    *out = (uniform_layout){1, 4, 4};
+    return true;
+  case BTF_UNIFORM_VEC2:
+    *out = (uniform_layout){2, 8, 8};
+    return true;
+  case BTF_UNIFORM_VEC3:
+    *out = (uniform_layout){3, 16, 12};
+    return true;
+  case BTF_UNIFORM_VEC4:
+  case BTF_UNIFORM_IVEC4:
+    *out = (uniform_layout){4, 16, 16};
+    return true;
+  default:
+    return false;
+  }
+}
+
+btf_status btfi_gpu_uniform(btf_gpu_builder *b, const char *name, uint32_t type, uint32_t count,
+                            const void *values) {
+  uniform_layout layout;
+  if (b->uniform_count == BTFI_GPU_UNIFORMS || count == 0 || count > BTFI_GPU_BLOCK_BYTES / 4 ||
+      values == NULL || !uniform_layout_of(type, &layout))
+    return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: number \"%.80s\" makes no sense", name);
+  BTFI_TRY(take_name(b, name, b->uniform_name[b->uniform_count]));
+  const uint32_t align = count > 1 ? 16 : layout.align;
+  const uint32_t stride = count > 1 ? 16 : layout.size;
+  const uint32_t offset = (b->block_size + align - 1) / align * align;
+  if (offset > BTFI_GPU_BLOCK_BYTES || count * stride > BTFI_GPU_BLOCK_BYTES - offset)
+    return btfi_fail(b->ctx, BTF_E_LIMIT, "GPU export: the uniform block would be larger than %d bytes",
+                     BTFI_GPU_BLOCK_BYTES);
+  for (uint32_t i = 0; i < count; i++)
+    memcpy(b->block + offset + i * stride, (const unsigned char *)values + (size_t)i * layout.components * 4,
+           (size_t)layout.components * 4);
+  b->block_size = offset + count * stride;
+  b->uniform[b->uniform_count] = (btf_gpu_uniform){b->uniform_name[b->uniform_count], type, offset, count, 0};
+  b->uniform_count++;
+  return BTF_OK;
+}
+
+/* ---- text ---- */
+
+btf_status btfi_gpu_source(btf_gpu_builder *b, const char *format, ...) {
+  va_list arguments;
+  va_start(arguments, format);
+  btfi_put_text_of(&b->source, format, arguments);
+  va_end(arguments);
+  return btfi_buffer_status(&b->source);
+}
+
+void btfi_gpu_cost(btf_gpu_builder *b, const btf_gpu_cost *cost) {
+  b->cost.fetches += cost->fetches;
+  b->cost.bytes += cost->bytes;
+  b->cost.flops += cost->flops;
+  b->cost.rounding += cost->rounding;
+}
