@@ -47,6 +47,35 @@ END
   expect "the wrong format" 3 "folder"
   run import measured.jpg -o x.btfd --format bonn-bft
   expect "a misspelt format" 1 "bonn-btf"
+  run info measured.jpg --input cosine=inside
+  expect "--input of another command" 0 "brdf_cos"
+  run info measured.jpg --input sine=inside
+  expect "--input of an unknown parameter" 1 "sine"
+  run info measured.jpg --input cosine
+  expect "--input without a value" 1 "--input is \"cosine\""
+  run info measured.jpg --format bonn-bft
+  expect "--format of another command" 1 "bonn-btf"
+  run info measured.jpg --format bonn-btf
+  expect "--format of another command" 0 "Bonn .btf"
+  for option in "--allow-missing" "--transfer srgb"; do
+    for command in "import" "encode --codec fmf"; do
+      # shellcheck disable=SC2086
+      run $command measured.jpg -o x.out $option
+      expect "$command $option of a format without it" 1 "${option%% *}: the format bonn-btf has no parameter"
+    done
+  done
+  run info imported.btfd --input cosine=inside
+  expect "--input of a data set" 1 "cosine"
+  for command in verify check "render -o x.png"; do
+    if [ "${command%% *}" = render ] && ! "$btf" help render >/dev/null 2>&1; then continue; fi
+    # shellcheck disable=SC2086
+    run $command measured.jpg --input cosine=inside
+    expect "$command --input" 0
+  done
+  run compare measured.jpg cosine.btfd --input cosine=inside --json
+  expect "compare sets what is measured, whatever else it compares" 0 '"rmse": 0'
+  run compare imported.btfd imported.btfd --input cosine=inside
+  expect "compare without measured data" 1 "imported.btfd: is no measured data; --input is for that"
   run import short.jpg -o x.btfd
   expect "import of a short file" 3 "ends within"
   [ ! -e x.btfd ] && pass || fail "a failed import left something behind"
@@ -56,6 +85,13 @@ END
     run encode imported.btfd -o imported.btfz --codec fmf -p components=1 -p storage=f32
     run compare measured.btfz imported.btfz --json
     expect "encoding measured data equals encoding the imported folder" 0 '"rmse": 0'
+    run info measured.btfz --input cosine=inside
+    expect "--input of a container" 1 "measured.btfz: is no measured data; --input is for that"
+    run info measured.btfz --format bonn-btf
+    expect "--format of a container" 1 "--format"
+    run encode measured.jpg -o inside.btfz --codec fmf -p components=1 --input cosine=inside
+    run info inside.btfz
+    expect "encode --input, recorded" 0 "--input cosine=inside"
   else
     skip "encode of measured data: no fmf"
   fi
