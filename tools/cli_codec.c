@@ -20,21 +20,25 @@ int cli_unknown_codec(const cli *c, const btf_context *ctx, const char *id) {
   return cli_usage(c, "no codec \"%s\"; btf codecs lists those of this build", id);
 }
 
-int cli_codec_options(const cli *c, btf_options *options) {
-  for (int i = 0; i < cli_count(c, "param"); i++) {
-    const char *text = cli_value_at(c, "param", i);
+int cli_set_params(const cli *c, const char *name, const char *lister, btf_options *options) {
+  for (int i = 0; i < cli_count(c, name); i++) {
+    const char *text = cli_value_at(c, name, i);
     const char *equals = strchr(text, '=');
-    char *name;
+    char *key;
     btf_status status;
     if (equals == NULL || equals == text)
-      return cli_usage(c, "--param is \"%s\"; it takes key=value (btf codecs lists the keys)", text);
-    name = strndup(text, (size_t)(equals - text));
-    if (name == NULL) return cli_out_of_memory();
-    status = btf_options_set(options, name, equals + 1);
-    free(name);
+      return cli_usage(c, "--%s is \"%s\"; it takes key=value (%s lists the keys)", name, text, lister);
+    key = strndup(text, (size_t)(equals - text));
+    if (key == NULL) return cli_out_of_memory();
+    status = btf_options_set(options, key, equals + 1);
+    free(key);
     if (status != BTF_OK) return cli_fail_library(status);
   }
   return EXIT_DONE;
+}
+
+int cli_codec_options(const cli *c, btf_options *options) {
+  return cli_set_params(c, "param", "btf codecs", options);
 }
 
 /* ---- parameters as text ---- */

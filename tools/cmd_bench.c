@@ -363,6 +363,7 @@ static int run(cli *c) {
 static const cli_option options_table[] = {
     {"codec", 'c', "NAME", "codec to encode a data set with (default fmf)", 0},
     {"param", 'p', "KEY=VALUE", "set a parameter of the codec; may be repeated", 0},
+    INPUT_OPTIONS,
     {"seconds", 0, "S", "time for evaluation in all (default 10)", CLI_OPTION_UNRECORDED},
     CLI_OPTION_JSON,
     CLI_OPTIONS_END};

@@ -176,12 +176,13 @@ static int run(cli *c) {
 static const cli_option options[] = {
     {"sheet", 0, "PATH", "write a picture of the means and of the reciprocity errors (.png or .exr)",
      CLI_OPTION_PATH | CLI_OPTION_UNRECORDED},
+    INPUT_OPTIONS,
     CLI_OPTION_JSON,
     CLI_OPTIONS_END};
 
 const cli_command cmd_check = {"check",
                                "audits the samples: values, directions, reciprocity, energy",
-                               "FILE [--json] [--sheet OUT.png]",
+                               "FILE [options]",
                                "Takes data sets, measured data and containers. Looks for values that are not "
                                "finite, negative or cut off, black\n"
                                "pictures, texels that never vary, light and view directions that differ from "

@@ -169,7 +169,12 @@ static int check_bounds(const cli *c, const contestant *all, int files, double m
 static int compare_all(cli *c, contestant *all, int files, uint64_t ssim_images) {
   double peak = 0;
   int failed = EXIT_DONE;
-  for (int i = 0; i <= files && !failed; i++) failed = open_contestant(c, c->operands[i], &all[i]);
+  bool has_settings = false;
+  for (int i = 0; i <= files && !failed; i++) {
+    failed = open_contestant(c, c->operands[i], &all[i]);
+    if (all[i].in.has_settings) has_settings = true;
+  }
+  if (!failed && !has_settings) failed = input_refuse_settings(c, c->operands[0]);
   for (int i = 1; i <= files && !failed; i++) {
     const char *difference = metrics_shape_difference(&all[0].source, &all[i].source);
     if (difference != NULL)
@@ -224,6 +229,7 @@ static const cli_option options[] = {
     {"max-rmse", 0, "X", "status 7 if the RMSE is above X", 0},
     {"min-psnr", 0, "DB", "status 7 if the PSNR is below DB", 0},
     {"exact", 0, NULL, "status 7 if any value differs", 0},
+    INPUT_OPTIONS,
     CLI_OPTIONS_END};
 
 const cli_command cmd_compare = {"compare",

@@ -153,6 +153,7 @@ static const cli_option options[] = {
      "nearest stored samples instead of interpolation; what a codec computes\nfrom a formula stays at the "
      "directions given",
      0},
+    INPUT_OPTIONS,
     CLI_OPTIONS_END};
 
 const cli_command cmd_eval = {"eval",

@@ -78,6 +78,7 @@ static int run(cli *c) {
 
 static const cli_option options[] = {
     {"queries", 'f', "FILE", "read the indices from FILE instead of standard input", CLI_OPTION_PATH},
+    INPUT_OPTIONS,
     CLI_OPTIONS_END};
 
 const cli_command cmd_fetch = {"fetch",

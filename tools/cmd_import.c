@@ -112,6 +112,7 @@ static const cli_option options[] = {
     CLI_OPTION_OUTPUT("data-set folder to write"),
     {"format", 0, "NAME", "the format, instead of recognising it from the content", 0},
     {"param", 'p', "KEY=VALUE", "set a parameter of the format; may be repeated", 0},
+    INPUT_OPTIONS_SHORT,
     {"type", 0, "TYPE", "type of the samples written: u8, u16, f16 (default) or f32", 0},
     {"list", 0, NULL, "list the formats of this build and their parameters", CLI_OPTION_UNRECORDED},
     CLI_OPTIONS_END};

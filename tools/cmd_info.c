@@ -147,7 +147,8 @@ static void dataset_text(const input *in) {
   directions_line("lights", d.lights);
   directions_line("views", d.views);
   text_line("sample type", input_sample_type(d.sample_type));
-  if (d.data != NULL) text_line("order", d.flags & BTF_DATASET_IMAGE_MAJOR ? "vlyxc (images)" : "yxvlc (apparent BRDFs)");
+  if (d.data != NULL)
+    text_line("order", d.flags & BTF_DATASET_IMAGE_MAJOR ? "vlyxc (images)" : "yxvlc (apparent BRDFs)");
   text_line("quantity", input_quantity(d.quantity));
   text_line("scale", input_scale(d.scale));
   text_line("wrap", d.wrap == BTF_WRAP_CLAMP ? "clamp" : "periodic");
@@ -307,11 +308,11 @@ static int run(cli *c) {
   return EXIT_DONE;
 }
 
-static const cli_option options[] = {CLI_OPTION_JSON, CLI_OPTIONS_END};
+static const cli_option options[] = {CLI_OPTION_JSON, INPUT_OPTIONS, CLI_OPTIONS_END};
 
 const cli_command cmd_info = {"info",
                               "describes a container file or data set",
-                              "FILE [--json]",
+                              "FILE [options]",
                               "Codec, sizes, directions, channels, metadata and the list of chunks with "
                               "their checksums. Works without the codec;\n"
                               "--json adds the directions themselves.",

@@ -7,6 +7,7 @@
 
 #include "commands.h"
 #include "image/image.h"
+#include "input.h"
 #include "render/render.h"
 
 static const cli_option options[] = {
@@ -28,6 +29,7 @@ static const cli_option options[] = {
      "linear colour behind the subject (default 0.18,0.18,0.18; with --env the map)", 0},
     {"finest", 0, NULL, "always evaluate the finest level instead of the footprint's", 0},
     {"seed", 0, "N", "of the samples (default 1)", 0},
+    INPUT_OPTIONS,
     CLI_OPTIONS_END};
 
 static float radians(double degrees) {
@@ -167,26 +169,23 @@ static int draw(cli *c, const render_settings *s, const btf_model *model, const 
 
 static int run(cli *c) {
   render_settings s;
-  btf_context *ctx;
-  btf_model *model = NULL;
+  input in;
   mesh subject = {0};
   scene surface = {0};
   environment map = {0};
   const char *environment_name = cli_value(c, "env");
   int status = read_settings(c, &s);
-  if (status == EXIT_DONE) status = cli_context(c, &ctx);
+  if (status == EXIT_DONE) status = input_open_model(c, c->operands[0], &in);
   if (status != EXIT_DONE) return status;
-  const btf_status loaded = btf_model_load(ctx, c->operands[0], &model);
-  if (loaded != BTF_OK) return cli_fail_library(loaded);
   if (environment_name != NULL) status = environment_load(environment_name, &map);
   map.rotation = radians(s.rotate);
-  if (status == EXIT_DONE) status = make_surface(&s, model, &subject);
+  if (status == EXIT_DONE) status = make_surface(&s, in.model, &subject);
   if (status == EXIT_DONE) status = scene_create(&subject, &surface);
-  if (status == EXIT_DONE) status = draw(c, &s, model, &surface, environment_name != NULL ? &map : NULL);
+  if (status == EXIT_DONE) status = draw(c, &s, in.model, &surface, environment_name != NULL ? &map : NULL);
   scene_free(&surface);
   mesh_free(&subject);
   environment_free(&map);
-  btf_model_release(model);
+  input_close(&in);
   return status;
 }
 

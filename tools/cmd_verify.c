@@ -108,12 +108,12 @@ static int run(cli *c) {
   return failed;
 }
 
-static const cli_option options[] = {CLI_OPTIONS_END};
+static const cli_option options[] = {INPUT_OPTIONS, CLI_OPTIONS_END};
 
 const cli_command cmd_verify = {
     "verify",
     "checks a file and decodes everything once",
-    "FILE",
+    "FILE [options]",
     "Verifies structure and every checksum of a container and decodes every sample "
     "at every level of detail; of a\n"
     "data-set folder it reads every sample. Status 3 at the first fault, which the "

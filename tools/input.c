@@ -43,44 +43,19 @@ static int fail_file(const cli *c, const char *path, btf_status status) {
   return cli_fail_library(status);
 }
 
-/* What is no container may be measured data. */
-static btf_status open_measured(btf_context *ctx, const char *path, input *out) {
-  const btf_status status = btf_format_detect(ctx, path, &out->format);
-  return status == BTF_OK ? btf_format_open(ctx, path, out->format, NULL, &out->dataset) : status;
-}
+/* ---- formats and their settings ---- */
 
-/* Containers first: they are what is opened most, and known by their first bytes. */
-static btf_status open_any(btf_context *ctx, const char *path, bool is_folder, input *out) {
-  char message[512];
-  btf_status status = is_folder ? BTF_E_NOT_BTF : btf_file_open_path(ctx, path, 0, &out->file);
-  if (status != BTF_E_NOT_BTF) return status;
-  snprintf(message, sizeof message, "%s", btf_error_message());
-  status = open_measured(ctx, path, out);
-  if (status != BTF_E_NOT_BTF || out->format != NULL) return status;
-  /* Of what is nothing that is known, the message says what it is not, as a folder of ours or as a container.
-   */
-  if (is_folder) return btf_dataset_open(ctx, path, &out->dataset);
-  return btf_source_error(status, "%s", message);
-}
+/* Options of the command that set the parameter of another name. */
+static const char *const shorthands[][2] = {{"allow-missing", "allow_missing"}, {"transfer", "transfer"}};
+enum { SHORTHANDS = sizeof shorthands / sizeof *shorthands };
 
-int input_open(cli *c, const char *path, input *out) {
-  btf_context *ctx;
-  struct stat info;
-  btf_status status;
-  int failed;
-  memset(out, 0, sizeof *out);
-  failed = cli_context(c, &ctx);
-  if (failed) return failed;
-  if (stat(path, &info) != 0) return cli_fail(EXIT_IO, "%s: could not be opened: %s", path, strerror(errno));
-  out->path = path;
-  status = open_any(ctx, path, S_ISDIR(info.st_mode), out);
-  if (status != BTF_OK) {
-    failed = S_ISDIR(info.st_mode) ? cli_fail_library(status) : fail_file(c, path, status);
-    input_close(out);
-    return failed;
-  }
-  out->bytes = input_bytes_on_disk(path);
-  return EXIT_DONE;
+/* The first option given that is for measured data only, or NULL. */
+static const char *given_setting(const cli *c) {
+  if (cli_has(c, "format")) return "format";
+  if (cli_has(c, "input")) return "input";
+  for (int i = 0; i < SHORTHANDS; i++)
+    if (cli_has(c, shorthands[i][0])) return shorthands[i][0];
+  return NULL;
 }
 
 static int unknown_format(const cli *c, const btf_context *ctx, const char *id) {
@@ -95,24 +70,117 @@ static int unknown_format(const cli *c, const btf_context *ctx, const char *id) 
   return cli_usage(c, "no format \"%s\"; btf import --list shows those of this build", id);
 }
 
-int input_open_import(cli *c, const char *path, input *out) {
+/* The format named, or the one recognised; *status tells of the latter. */
+static int find_format(const cli *c, btf_context *ctx, const char *path, const btf_format **out,
+                       btf_status *status) {
   const char *id = cli_value(c, "format");
+  *status = BTF_OK;
+  *out = NULL;
+  if (id == NULL)
+    *status = btf_format_detect(ctx, path, out);
+  else if ((*out = btf_format_find(ctx, id)) == NULL)
+    return unknown_format(c, ctx, id);
+  return EXIT_DONE;
+}
+
+static bool has_param(const btf_format *format, const char *name) {
+  for (uint32_t i = 0; i < btf_format_param_count(format); i++) {
+    btf_param_desc p = {.struct_size = sizeof p};
+    if (btf_format_param(format, i, &p) == BTF_OK && strcmp(p.name, name) == 0) return true;
+  }
+  return false;
+}
+
+static int set_shorthands(const cli *c, const btf_format *format, btf_options *options) {
+  for (int i = 0; i < SHORTHANDS; i++) {
+    const char *option = shorthands[i][0], *name = shorthands[i][1], *value = cli_value(c, option);
+    if (!cli_has(c, option)) continue;
+    if (!has_param(format, name))
+      return cli_usage(c, "--%s: the format %s has no parameter %s", option, btf_format_id(format), name);
+    const btf_status status = btf_options_set(options, name, value != NULL ? value : "true");
+    if (status != BTF_OK) return cli_fail_library(status);
+  }
+  return EXIT_DONE;
+}
+
+/* Opens the data set out->format, with the keys and values of the option `keys`. */
+static int open_measured(const cli *c, btf_context *ctx, const char *path, const char *keys, input *out) {
   btf_options *options = NULL;
-  btf_context *ctx;
-  btf_status status = BTF_OK;
-  memset(out, 0, sizeof *out);
-  int failed = cli_context(c, &ctx);
-  if (failed) return failed;
-  if (id != NULL && (out->format = btf_format_find(ctx, id)) == NULL) return unknown_format(c, ctx, id);
-  if (out->format == NULL) status = btf_format_detect(ctx, path, &out->format);
-  if (status == BTF_OK) status = btf_format_options_create(out->format, &options);
+  btf_status status = btf_format_options_create(out->format, &options);
   if (status != BTF_OK) return cli_fail_library(status);
-  failed = cli_codec_options(c, options);
+  int failed = cli_set_params(c, keys, "btf import --list", options);
+  if (!failed) failed = set_shorthands(c, out->format, options);
   if (!failed) {
     status = btf_format_open(ctx, path, out->format, options, &out->dataset);
     if (status != BTF_OK) failed = cli_fail_library(status);
   }
   btf_options_release(options);
+  return failed;
+}
+
+/* ---- opening ---- */
+
+/* What is no container may be measured data. Settings are for that; of several files they are for those that
+ * have any. */
+static int open_format(cli *c, btf_context *ctx, const char *path, bool is_folder, input *out) {
+  char message[512];
+  btf_status status;
+  snprintf(message, sizeof message, "%s", btf_error_message());
+  const int failed = find_format(c, ctx, path, &out->format, &status);
+  if (failed) return failed;
+  if (status == BTF_OK) {
+    const bool has_none = c->operand_count > 1 && btf_format_param_count(out->format) == 0;
+    out->has_settings = !has_none && given_setting(c) != NULL;
+    if (!has_none) return open_measured(c, ctx, path, "input", out);
+    status = btf_format_open(ctx, path, out->format, NULL, &out->dataset);
+    return status == BTF_OK ? EXIT_DONE : cli_fail_library(status);
+  }
+  if (status != BTF_E_NOT_BTF) return cli_fail_library(status);
+  /* Of what is nothing that is known, the message says what it is not, as a folder of ours or as a container.
+   */
+  if (is_folder) return cli_fail_library(btf_dataset_open(ctx, path, &out->dataset));
+  return fail_file(c, path, btf_source_error(status, "%s", message));
+}
+
+/* Containers first: they are what is opened most, and known by their first bytes. */
+int input_open(cli *c, const char *path, input *out) {
+  btf_context *ctx;
+  struct stat info;
+  memset(out, 0, sizeof *out);
+  int failed = cli_context(c, &ctx);
+  if (failed) return failed;
+  if (stat(path, &info) != 0) return cli_fail(EXIT_IO, "%s: could not be opened: %s", path, strerror(errno));
+  out->path = path;
+  const bool is_folder = S_ISDIR(info.st_mode);
+  const btf_status status = is_folder ? BTF_E_NOT_BTF : btf_file_open_path(ctx, path, 0, &out->file);
+  if (status == BTF_E_NOT_BTF)
+    failed = open_format(c, ctx, path, is_folder, out);
+  else if (status != BTF_OK)
+    failed = cli_fail_library(status);
+  else if (c->operand_count == 1)
+    failed = input_refuse_settings(c, path);
+  if (failed)
+    input_close(out);
+  else
+    out->bytes = input_bytes_on_disk(path);
+  return failed;
+}
+
+int input_refuse_settings(const cli *c, const char *path) {
+  const char *option = given_setting(c);
+  if (option == NULL) return EXIT_DONE;
+  return cli_usage(c, "%s: is no measured data; --%s is for that", path, option);
+}
+
+int input_open_import(cli *c, const char *path, input *out) {
+  btf_context *ctx;
+  btf_status status;
+  memset(out, 0, sizeof *out);
+  int failed = cli_context(c, &ctx);
+  if (!failed) failed = find_format(c, ctx, path, &out->format, &status);
+  if (failed) return failed;
+  if (status != BTF_OK) return cli_fail_library(status);
+  failed = open_measured(c, ctx, path, "param", out);
   out->path = path;
   out->bytes = input_bytes_on_disk(path);
   return failed;

@@ -12,12 +12,28 @@ typedef struct input {
   btf_file *file;           /* a container; otherwise NULL */
   btf_model *model;         /* after input_load */
   uint64_t bytes;           /* on disk */
+  bool has_settings;        /* options of the command line were for it */
 } input;
 
-/* Opens by what is there: a container, or a data set of whichever format recognises it. Zeroed on failure. */
+/* Entries of option tables: of commands that read with input_open; and shorthands for parameters. */
+#define INPUT_OPTIONS                                                                                        \
+  {"format", 0, "NAME", "format of measured data, instead of recognising it from the content", 0}, {         \
+    "input", 0, "KEY=VALUE",                                                                                 \
+        "set a parameter of the format of measured data; may be repeated\n(btf import --list shows them)", 0 \
+  }
+#define INPUT_OPTIONS_SHORT                                                                                  \
+  {"allow-missing", 0, NULL, "fill missing and damaged images of measured data", 0}, {                       \
+    "transfer", 0, "NAME", "curve that codes of measured data were made with, such as srgb", 0               \
+  }
+
+/* Opens by what is there: a container, or a data set of the format that --format names or that recognises it,
+ * with --input and the shorthands for the format. Zeroed on failure. */
 int input_open(cli *c, const char *path, input *out);
-/* A data set of the format named by --format, or as recognised, with --param for the format. */
+/* A data set of the format named by --format, or as recognised, with --param and the
+ * shorthands for the format. */
 int input_open_import(cli *c, const char *path, input *out);
+/* Refuses options for measured data. */
+int input_refuse_settings(const cli *c, const char *path);
 /* Makes the model: the first of a container, or the data set as it stands. */
 int input_load(input *in);
 /* Both. */

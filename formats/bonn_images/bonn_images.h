@@ -12,7 +12,8 @@
 enum {
   IMAGES_DIRECTIONS = 81,
   IMAGES_PAIRS = IMAGES_DIRECTIONS * IMAGES_DIRECTIONS,
-  IMAGES_NAME_BYTES = 1024
+  IMAGES_NAME_BYTES = 1024,
+  IMAGES_RUN = 64 /* pictures that a task looks at */
 };
 static const uint32_t images_none = UINT32_MAX;
 
@@ -58,6 +59,7 @@ typedef struct images_file {
   uint32_t of_pair[IMAGES_PAIRS]; /* number in the list, or images_none */
   image_fill *fills;              /* ascending pairs */
   uint32_t fill_count;
+  uint64_t damaged;  /* pictures left out of the list */
   picture_info info; /* what every picture is */
   picture_rules rules;
   void *table; /* sample of each code */
@@ -101,8 +103,22 @@ void images_bytes_free(const images_file *file, image_bytes *bytes);
 
 /* ---- pictures ---- */
 
-/* Looks at the head of every picture. */
+static inline uint64_t images_sample_count(const images_file *file) {
+  return (uint64_t)file->info.width * file->info.height * file->info.channels;
+}
+/* What the head of a picture says. */
+btf_status images_look(const images_file *file, const image_entry *entry, image_bytes *bytes,
+                       picture_info *info, picture_fault *fault);
+/* A fault unless it is as wanted; `whose` says who else is, in the message. */
+btf_status images_compare(const picture_info *info, const picture_info *wanted, const char *whose,
+                          picture_fault *fault);
+btf_status images_decode(const images_file *file, const image_entry *entry, image_bytes *bytes, void *samples,
+                         picture_fault *fault);
+/* Looks at the head of every picture; all must be like the first. */
 btf_status images_check_heads(images_file *file);
+/* Instead: damaged heads and those unlike most leave the list; then pictures that cannot be decoded. */
+btf_status images_leave_out_heads(images_file *file);
+btf_status images_leave_out_damaged(images_file *file);
 /* Finds how each missing pair is interpolated. */
 btf_status images_plan_fills(images_file *file);
 btf_status images_read(void *user, const btf_block *block, void *dst, const btf_strides *strides);

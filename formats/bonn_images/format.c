@@ -14,8 +14,10 @@ static const char *const transfer_choices[] = {"auto", "power", "srgb", "linear"
 static const char *const type_choices[] = {"f16", "f32", NULL};
 static const char *const axes_choices[] = {"database", "header", NULL};
 static const char *const duplicate_choices[] = {"refuse", "first", NULL};
-BTF_PARAM(allow_missing, BTF_PARAM_BOOL, "fill missing images from those of neighbouring directions", NULL,
-          "false", NULL, 0, 0);
+BTF_PARAM(allow_missing, BTF_PARAM_BOOL,
+          "fill missing and damaged images from those of neighbouring directions; all are decoded once to "
+          "find these",
+          NULL, "false", NULL, 0, 0);
 BTF_PARAM(duplicates, BTF_PARAM_CHOICE, "two images of one light and view: refuse them, or take the first",
           NULL, "refuse", duplicate_choices, 0, 0);
 BTF_PARAM(transfer, BTF_PARAM_CHOICE,
@@ -140,20 +142,38 @@ static btf_status make_table(images_file *file, const btf_options *options, char
 
 /* ---- opening ---- */
 
-static btf_status check(images_file *file, const btf_options *options, char words[64]) {
+/* What every picture is, and the list of those that are good. */
+static btf_status check_pictures(images_file *file, const btf_options *options, char words[64]) {
   const btf_host *host = file->host;
-  BTF_TRY(file->is_archive ? images_list_archive(file) : images_list_folder(file));
-  if (file->list.count == 0)
-    return (host->fail)(file->ctx, BTF_E_NOT_BTF,
-                        "%s: no image in it has the angles tl, pl, tv and pv in its name", file->path);
-  BTF_TRY(index_pairs(file, options));
-  BTF_TRY(images_check_heads(file));
-  BTF_TRY(check_missing(file, options));
+  const bool leave_out = (host->option)(options, "allow_missing") != 0;
+  if (!leave_out) BTF_TRY(index_pairs(file, options));
+  BTF_TRY(leave_out ? images_leave_out_heads(file) : images_check_heads(file));
   file->rules.sample_size = (host->option)(options, "type") == 0 ? 2 : 4;
   file->rules.upside_down = (host->option)(options, "flip") != 0;
   file->rules.columns_as_rows = file->info.by_columns && file->info.width == file->info.height &&
                                 (host->option)(options, "hdr_axes") == 0;
-  return make_table(file, options, words);
+  BTF_TRY(make_table(file, options, words));
+  if (!leave_out) return BTF_OK;
+  BTF_TRY(images_leave_out_damaged(file));
+  return index_pairs(file, options);
+}
+
+static btf_status check(images_file *file, const btf_options *options, char words[64]) {
+  BTF_TRY(file->is_archive ? images_list_archive(file) : images_list_folder(file));
+  if (file->list.count == 0)
+    return (file->host->fail)(file->ctx, BTF_E_NOT_BTF,
+                              "%s: no image in it has the angles tl, pl, tv and pv in its name", file->path);
+  BTF_TRY(check_pictures(file, options, words));
+  return check_missing(file, options);
+}
+
+/* The last part of a path. */
+static void name_of(const char *path, char name[256]) {
+  size_t end = strlen(path);
+  while (end > 1 && path[end - 1] == '/') end--;
+  size_t begin = end;
+  while (begin > 0 && path[begin - 1] != '/') begin--;
+  snprintf(name, 256, "%.*s", (int)(end - begin < 255 ? end - begin : 255), path + begin);
 }
 
 static btf_status make(images_file *file, const char *curve, btf_dataset **out) {
@@ -161,14 +181,19 @@ static btf_status make(images_file *file, const char *curve, btf_dataset **out) 
   btf_context *ctx = file->ctx;
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   btf_dirset *directions = NULL;
-  char filled[16];
-  const char *notes[16] = {
+  char filled[16], damaged[16], name[256];
+  const char *notes[18] = {
       "reader", "bonn-images", "images_kind", picture_kind_name(file->info.kind), "images_transfer", curve};
   uint32_t used = 6;
   if (file->fill_count > 0) {
     snprintf(filled, sizeof filled, "%u", file->fill_count);
     notes[used++] = "images_filled";
     notes[used++] = filled;
+  }
+  if (file->damaged > 0) {
+    snprintf(damaged, sizeof damaged, "%u", (unsigned)file->damaged);
+    notes[used++] = "images_damaged";
+    notes[used++] = damaged;
   }
   if (file->info.by_columns) {
     notes[used++] = "images_hdr_axes";
@@ -183,7 +208,7 @@ static btf_status make(images_file *file, const char *curve, btf_dataset **out) 
     images_close(file);
     return status;
   }
-  const char *slash = strrchr(file->path, '/');
+  name_of(file->path, name);
   desc.lights = desc.views = directions;
   desc.width = file->info.width;
   desc.height = file->info.height;
@@ -191,7 +216,7 @@ static btf_status make(images_file *file, const char *curve, btf_dataset **out) 
   desc.sample_type = file->rules.sample_size == 2 ? BTF_SAMPLE_F16 : BTF_SAMPLE_F32;
   desc.quantity = BTF_QUANTITY_BRDF_COS;
   desc.flags = BTF_DATASET_CONCURRENT_READ | BTF_DATASET_IMAGE_MAJOR;
-  desc.name = slash != NULL && slash[1] != '\0' ? slash + 1 : file->path;
+  desc.name = name;
   desc.read = images_read;
   desc.user = file;
   desc.release = release;

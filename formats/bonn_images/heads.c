@@ -5,8 +5,7 @@
 enum {
   HEAD_BYTES = 4096,
   LONG_HEAD_BYTES = 256 << 10, /* a JPEG may have a colour profile and a preview in front */
-  RUN_ENTRIES = 64,
-  SPARE_BYTES = 1 << 20 /* what a picture may hold beside its pixels */
+  SPARE_BYTES = 1 << 20        /* what a picture may hold beside its pixels */
 };
 
 typedef struct head_check {
@@ -17,7 +16,7 @@ typedef struct head_check {
   picture_fault fault;
 } head_check;
 
-static btf_status look(const images_file *file, const image_entry *entry, image_bytes *bytes,
+btf_status images_look(const images_file *file, const image_entry *entry, image_bytes *bytes,
                        picture_info *info, picture_fault *fault) {
   bool complete = false;
   for (uint64_t most = HEAD_BYTES; !complete; most = LONG_HEAD_BYTES) {
@@ -35,19 +34,23 @@ static btf_status look(const images_file *file, const image_entry *entry, image_
   return BTF_OK;
 }
 
-static btf_status check_one(const images_file *file, const image_entry *entry, image_bytes *bytes,
-                            picture_fault *fault) {
-  const picture_info *first = &file->info;
-  picture_info info;
-  BTF_TRY(look(file, entry, bytes, &info, fault));
-  if (picture_alike(&info, first)) return BTF_OK;
-  const bool same_size = info.width == first->width && info.height == first->height;
+btf_status images_compare(const picture_info *info, const picture_info *wanted, const char *whose,
+                          picture_fault *fault) {
+  if (picture_alike(info, wanted)) return BTF_OK;
+  const bool same_size = info->width == wanted->width && info->height == wanted->height;
   return picture_fail(fault, BTF_E_CORRUPT,
                       "is %s of %u x %u, %u channels of %u bits%s, unlike %.80s: %s of %u x %u, %u of %u",
-                      picture_kind_name(info.kind), info.width, info.height, info.channels, info.depth,
-                      same_size && info.by_columns != first->by_columns ? " by columns" : "",
-                      images_entry_name(file, &file->list.entries[0]), picture_kind_name(first->kind),
-                      first->width, first->height, first->channels, first->depth);
+                      picture_kind_name(info->kind), info->width, info->height, info->channels, info->depth,
+                      same_size && info->by_columns != wanted->by_columns ? " by columns" : "", whose,
+                      picture_kind_name(wanted->kind), wanted->width, wanted->height, wanted->channels,
+                      wanted->depth);
+}
+
+static btf_status check_one(const images_file *file, const image_entry *entry, image_bytes *bytes,
+                            picture_fault *fault) {
+  picture_info info;
+  BTF_TRY(images_look(file, entry, bytes, &info, fault));
+  return images_compare(&info, &file->info, images_entry_name(file, &file->list.entries[0]), fault);
 }
 
 static void check_run(void *user, uint32_t index, uint32_t thread) {
@@ -56,8 +59,8 @@ static void check_run(void *user, uint32_t index, uint32_t thread) {
   image_bytes bytes = {0};
   picture_fault fault = {BTF_OK, ""};
   (void)thread;
-  uint64_t i = (uint64_t)index * RUN_ENTRIES;
-  const uint64_t end = list->count - i < RUN_ENTRIES ? list->count : i + RUN_ENTRIES;
+  uint64_t i = (uint64_t)index * IMAGES_RUN;
+  const uint64_t end = list->count - i < IMAGES_RUN ? list->count : i + IMAGES_RUN;
   while (i < end && check_one(check->file, &list->entries[i], &bytes, &fault) == BTF_OK) i++;
   images_bytes_free(check->file, &bytes);
   if (i == end) return;
@@ -73,13 +76,13 @@ btf_status images_check_heads(images_file *file) {
   const image_list *list = &file->list;
   head_check check = {.file = file, .failed = UINT64_MAX};
   image_bytes bytes = {0};
-  btf_status status = look(file, &list->entries[0], &bytes, &file->info, &check.fault);
+  btf_status status = images_look(file, &list->entries[0], &bytes, &file->info, &check.fault);
   images_bytes_free(file, &bytes);
   if (status != BTF_OK) {
     check.failed = 0;
   } else {
     pthread_mutex_init(&check.mutex, NULL);
-    status = (file->host->parallel)(file->ctx, (uint32_t)((list->count + RUN_ENTRIES - 1) / RUN_ENTRIES),
+    status = (file->host->parallel)(file->ctx, (uint32_t)((list->count + IMAGES_RUN - 1) / IMAGES_RUN),
                                     check_run, &check);
     pthread_mutex_destroy(&check.mutex);
   }

@@ -7,22 +7,22 @@
 
 enum { SLOTS_PER_THREAD = 2 };
 
-static uint64_t picture_samples(const images_file *file) {
-  return (uint64_t)file->info.width * file->info.height * file->info.channels;
-}
-
 static btf_status fail_read(const images_file *file, uint32_t pair, const picture_fault *fault) {
   return (file->host->source_error)(fault->status, "%s: %s: %s", file->path,
                                     images_entry_name(file, &file->list.entries[file->of_pair[pair]]),
                                     fault->why);
 }
 
+btf_status images_decode(const images_file *file, const image_entry *entry, image_bytes *bytes, void *samples,
+                         picture_fault *fault) {
+  BTF_TRY(images_fetch(file, entry, UINT64_MAX, bytes, fault));
+  return picture_decode(bytes->data, bytes->size, &file->info, &file->rules, samples, fault);
+}
+
 static btf_status decode_entry(const images_file *file, uint32_t pair, image_bytes *bytes, void *samples) {
   picture_fault fault = {BTF_OK, ""};
   const image_entry *entry = &file->list.entries[file->of_pair[pair]];
-  btf_status status = images_fetch(file, entry, UINT64_MAX, bytes, &fault);
-  if (status == BTF_OK)
-    status = picture_decode(bytes->data, bytes->size, &file->info, &file->rules, samples, &fault);
+  const btf_status status = images_decode(file, entry, bytes, samples, &fault);
   return status == BTF_OK ? BTF_OK : fail_read(file, pair, &fault);
 }
 
@@ -40,7 +40,7 @@ static const image_fill *find_fill(const images_file *file, uint32_t pair) {
 
 static btf_status decode_fill(const images_file *file, uint32_t pair, image_bytes *bytes, void *samples) {
   const image_fill *fill = find_fill(file, pair);
-  const uint64_t count = picture_samples(file);
+  const uint64_t count = images_sample_count(file);
   const bool half = file->rules.sample_size == 2;
   float *sum = (file->host->alloc)(file->ctx, count, sizeof *sum);
   if (sum == NULL) return BTF_E_NOMEM;
@@ -85,7 +85,7 @@ static image_slot *free_slot(images_file *file) {
   const uint32_t most = SLOTS_PER_THREAD * (file->host->thread_count)(file->ctx);
   if (oldest != NULL && (file->slot_count >= most || !oldest->ready)) return oldest;
   image_slot *slot = (file->host->alloc)(file->ctx, 1, sizeof *slot);
-  void *samples = (file->host->alloc)(file->ctx, picture_samples(file), file->rules.sample_size);
+  void *samples = (file->host->alloc)(file->ctx, images_sample_count(file), file->rules.sample_size);
   if (slot == NULL || samples == NULL) {
     (file->host->free)(file->ctx, slot);
     (file->host->free)(file->ctx, samples);

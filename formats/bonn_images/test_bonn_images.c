@@ -56,10 +56,44 @@ static void make_parents(const char *path) {
   }
 }
 
-typedef bool (*skip_fn)(uint32_t view, uint32_t light);
+/* Which pairs have no good picture, and what they have instead. */
+typedef struct gap_rule {
+  bool (*at)(uint32_t view, uint32_t light);
+  enum { LEFT_OUT, DAMAGED, WIDER } how;
+} gap_rule;
+
+enum { OTHER_SIZE = 5, DAMAGES };
+/* Each is by itself reason enough not to take a picture. */
+static void damage(const archive_case *c, uint32_t way, case_bytes *picture, uint32_t *crc_lie) {
+  picture_case other = c->picture;
+  switch (way) {
+  case 0:
+    picture->size /= 2;
+    return;
+  case 1:
+    picture->size = 0;
+    return;
+  case 2:
+    picture->data[picture->size - 20] ^= 0x55; /* in the compressed data of a PNG */
+    return;
+  case 3:
+    memset(picture->data, 'x', picture->size);
+    return;
+  case 4: /* a folder has no checksums */
+    if (c->folder)
+      picture->data[0] = 0;
+    else
+      *crc_lie = 1;
+    return;
+  default:
+    other.width += way - OTHER_SIZE + 1;
+    picture->size = 0;
+    case_picture(&other, 0, 0, picture);
+  }
+}
 
 /* Pairs in an order that is neither that of views nor of lights: 6561 and 1000 have no common factor. */
-static const char *write_case(const archive_case *c, const char *base, skip_fn is_missing) {
+static const char *write_case(const archive_case *c, const char *base, const gap_rule *gap) {
   const char *path = test_path(base);
   zip_writer zip = {.count = 0};
   for (uint32_t i = 0; i < CASE_PAIRS; i++) {
@@ -67,8 +101,11 @@ static const char *write_case(const archive_case *c, const char *base, skip_fn i
                    light = pair % CASE_DIRECTIONS;
     char name[128], file[512];
     case_bytes picture = {0};
-    if (is_missing != NULL && is_missing(view, light)) continue;
+    uint32_t crc_lie = 0;
+    const bool has_none = gap != NULL && (gap->at)(view, light);
+    if (has_none && gap->how == LEFT_OUT) continue;
     case_picture(&c->picture, view, light, &picture);
+    if (has_none) damage(c, gap->how == WIDER ? OTHER_SIZE + i % 2 : i % DAMAGES, &picture, &crc_lie);
     case_name(c->names, c->extension, view, light, name);
     if (c->folder) {
       snprintf(file, sizeof file, "%s/%s", path, name);
@@ -78,6 +115,7 @@ static const char *write_case(const archive_case *c, const char *base, skip_fn i
       zip_add(&zip, &(zip_member){.name = name,
                                   .data = picture.data,
                                   .size = picture.size,
+                                  .crc_lie = crc_lie,
                                   .deflated = c->deflated,
                                   .zip64 = c->zip64});
     }
@@ -280,26 +318,20 @@ static uint32_t linear_code(uint32_t view, uint32_t light, uint32_t x, uint32_t 
 static bool has_gap(uint32_t view, uint32_t light) {
   return view == 30 || (view == 4 && (light == 0 || light == 25)) || (view == 80 && light > 18 && light < 37);
 }
-static const archive_case gaps = {
-    .label = "gaps", .extension = "png", .names = CASE_UTIA, .picture = {CASE_PNG16, 2, 1, 1, linear_code}};
+static const archive_case linear = {
+    .label = "linear", .extension = "png", .names = CASE_UTIA, .picture = {CASE_PNG16, 2, 1, 1, linear_code}};
 
-static void test_missing(void **state) {
-  (void)state;
-  test_memory memory;
-  btf_context *ctx = format_context(&memory);
-  const char *path = write_case(&gaps, "gaps.zip", has_gap);
+static const gap_rule left_out = {has_gap, LEFT_OUT};
+
+static void check_filled(btf_context *ctx, const char *path, const char *damaged) {
   static const char *const settings[] = {"allow_missing", "true", "transfer", "linear", "type", "f32", NULL};
   btf_dataset *ds;
   btf_dataset_desc d = BTF_DATASET_DESC_INIT;
   float samples[81 * 81 * 2];
-  assert_status(open_with(ctx, path, NULL, NULL, &ds), BTF_E_CORRUPT);
-  assert_message_has("101 of 6561");
-  assert_message_has("tl000 pl000 tv015 pv180");
-  assert_message_has("tl045 pl120 tv015 pv180");
-  assert_message_has("allow_missing");
   assert_ok(format_try(ctx, path, "bonn-images", settings, &ds));
   assert_ok(btf_dataset_describe(ds, &d));
   assert_string_equal(note(&d, "images_filled"), "101");
+  assert_string_equal(note(&d, "images_damaged"), damaged);
   const btf_block whole = {0, 81, 0, 81, 0, 0, 2, 1};
   const btf_strides strides = {.view = 648, .light = 8, .y = 8, .x = 4, .channel = 4};
   assert_ok(btf_dataset_read(ds, &whole, samples, &strides));
@@ -312,6 +344,54 @@ static void test_missing(void **state) {
       assert_near(sample[1], linear_in(view), tolerance);
     }
   btf_dataset_release(ds);
+}
+
+static void test_missing(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = format_context(&memory);
+  const char *path = write_case(&linear, "gaps.zip", &left_out);
+  btf_dataset *ds;
+  assert_status(open_with(ctx, path, NULL, NULL, &ds), BTF_E_CORRUPT);
+  assert_message_has("101 of 6561");
+  assert_message_has("tl000 pl000 tv015 pv180");
+  assert_message_has("tl045 pl120 tv015 pv180");
+  assert_message_has("allow_missing");
+  check_filled(ctx, path, "");
+  test_context_done(ctx, &memory);
+}
+
+/* Damaged pictures are filled like missing ones. */
+static void test_damaged(void **state) {
+  (void)state;
+  archive_case c = linear;
+  for (int i = 0; i < 2; i++) {
+    test_memory memory;
+    btf_context *ctx = format_context(&memory);
+    btf_dataset *ds;
+    c.folder = i == 1;
+    const char *path = write_case(&c, c.folder ? "damaged" : "damaged.zip", &(gap_rule){has_gap, DAMAGED});
+    assert_status(open_with(ctx, path, NULL, NULL, &ds), BTF_E_CORRUPT);
+    check_filled(ctx, path, "101");
+    test_context_done(ctx, &memory);
+  }
+}
+
+static bool half_of_them(uint32_t view, uint32_t light) {
+  return (view * 81 + light) % 2 == 0;
+}
+
+/* Which of several sizes is the right one is not guessed: here a half, nearly, and two quarters. */
+static void test_several_sizes(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = format_context(&memory);
+  btf_dataset *ds;
+  const char *path = write_case(&linear, "half.zip", &(gap_rule){half_of_them, WIDER});
+  assert_status(open_with(ctx, path, NULL, NULL, &ds), BTF_E_CORRUPT);
+  assert_message_has("unlike");
+  assert_status(open_with(ctx, path, "allow_missing", "true", &ds), BTF_E_CORRUPT);
+  assert_message_has("several sizes");
   test_context_done(ctx, &memory);
 }
 
@@ -324,7 +404,7 @@ static void test_nearly_all_missing(void **state) {
   test_memory memory;
   btf_context *ctx = format_context(&memory);
   btf_dataset *ds;
-  const char *path = write_case(&gaps, "one.zip", all_but_one);
+  const char *path = write_case(&linear, "one.zip", &(gap_rule){all_but_one, LEFT_OUT});
   assert_status(open_with(ctx, path, "allow_missing", "true", &ds), BTF_E_CORRUPT);
   assert_message_has("too many images are missing");
   test_context_done(ctx, &memory);
@@ -380,7 +460,7 @@ static void test_threads(void **state) {
 
 static void test_allocations(void **state) {
   (void)state;
-  const char *path = write_case(&gaps, "gaps.zip", has_gap);
+  const char *path = write_case(&linear, "gaps.zip", &left_out);
   test_memory memory;
   btf_context *ctx = format_context(&memory);
   const btf_format *format = btf_format_find(ctx, "bonn-images");
@@ -472,6 +552,8 @@ int main(void) {
       cmocka_unit_test(test_names),
       cmocka_unit_test(test_kinds),
       cmocka_unit_test(test_missing),
+      cmocka_unit_test(test_damaged),
+      cmocka_unit_test(test_several_sizes),
       cmocka_unit_test(test_nearly_all_missing),
       cmocka_unit_test(test_threads),
       cmocka_unit_test(test_allocations),
