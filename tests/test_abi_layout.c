@@ -104,7 +104,7 @@ GROWABLE(btf_codec_vtbl, texel, 120, 128);
 GROWABLE(btf_eval_cost, flops, 40, 40);
 GROWABLE(btf_plugin_info, host_size_needed, 40, 56);
 GROWABLE(btf_format_vtbl, open, 56, 56);
-GROWABLE(btf_host, mip_filter, 224, 328);
+GROWABLE(btf_host, mip_filter, 224, 400);
 
 AT(btf_codec_vtbl, abi, 4);
 AT(btf_plugin_info, abi, 4);
