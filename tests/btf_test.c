@@ -4,6 +4,7 @@
 #include <dirent.h>
 #include <errno.h>
 #include <ftw.h>
+#include <locale.h>
 #include <pthread.h>
 #include <unistd.h>
 
@@ -129,6 +130,14 @@ const char *test_path(const char *name) {
   char *path = ring[next++ % 16];
   snprintf(path, sizeof ring[0], "%s/%s", test_folder(), name);
   return path;
+}
+
+int test_set_comma_locale(void) {
+  static const char *const names[] = {"de_DE.UTF-8", "de_DE.utf8", "de_DE",
+                                      "fr_FR.UTF-8", "fr_FR.utf8", "ru_RU.UTF-8"};
+  for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+    if (setlocale(LC_ALL, names[i]) != NULL) return 1;
+  return 0;
 }
 
 void test_write_bytes(const char *path, const void *data, size_t size) {

@@ -66,6 +66,10 @@ unsigned char *test_read_bytes(const char *path, size_t *size); /* from malloc; 
 int test_exists(const char *path);
 size_t test_count_entries(const char *folder); /* hidden ones too, without . and .. */
 
+/* Sets a locale whose numbers have a decimal comma; 0 if none is installed. Before assertions, back to "C".
+ */
+int test_set_comma_locale(void);
+
 /* cmocka does not tell how many tests were skipped. */
 void test_note_skip(void);
 #undef skip

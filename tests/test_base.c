@@ -559,12 +559,7 @@ static void a_buffer_keeps_its_first_failure(void **state) {
 
 static void text_does_not_follow_the_locale(void **state) {
   (void)state;
-  static const char *const comma_locales[] = {"de_DE.UTF-8", "de_DE.utf8", "de_DE",
-                                              "fr_FR.UTF-8", "fr_FR.utf8", "ru_RU.UTF-8"};
-  bool found = false;
-  for (size_t i = 0; i < sizeof comma_locales / sizeof comma_locales[0] && !found; i++)
-    found = setlocale(LC_ALL, comma_locales[i]) != NULL;
-  if (!found) skip();
+  if (!test_set_comma_locale()) skip();
   btf_context *ctx = NULL;
   assert_ok(btf_context_create(NULL, &ctx));
   btfi_buffer b;

@@ -429,6 +429,39 @@ static void out_of_memory(void **state) {
 
 /* ---- formats ---- */
 
+/* What the host table offers formats for text, by known answers. */
+static void host_reads_text(void **state) {
+  static const char text[] = "{\"a\": [1, 2.5e1, \"x\"], \"b\": null}";
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  const btf_host *host = btfi_host();
+  double number = 7;
+  btf_json *document = NULL;
+  (void)state;
+  assert_int_equal((host->number)("-12.5e1", &number), 1);
+  assert_true(number == -125.0);
+  for (size_t i = 0; i < 6; i++) {
+    static const char *const wrong[] = {"", "nan", "1,5", "1e999", "0x1", "1 "};
+    assert_int_equal((host->number)(wrong[i], &number), 0);
+  }
+  assert_true(number == -125.0);
+  assert_ok((host->json_parse)(ctx, "name", text, sizeof text - 1, &document));
+  assert_int_equal((host->json_type)(document), BTF_JSON_OBJECT);
+  const btf_json *list = (host->json_get)(document, "a");
+  assert_int_equal((host->json_type)(list), BTF_JSON_ARRAY);
+  assert_int_equal((host->json_length)(list), 3);
+  assert_true((host->json_number)((host->json_at)(list, 1)) == 25.0);
+  assert_string_equal((host->json_string)((host->json_at)(list, 2)), "x");
+  assert_null((host->json_at)(list, 3));
+  assert_int_equal((host->json_type)((host->json_get)(document, "b")), BTF_JSON_NULL);
+  assert_null((host->json_get)(document, "c"));
+  (host->json_free)(document);
+  assert_status((host->json_parse)(ctx, "name", "[1,", 3, &document), BTF_E_CORRUPT);
+  assert_message_has("name: line 1, column 4");
+  assert_null(document);
+  test_context_done(ctx, &memory);
+}
+
 static uint32_t probe_never(const btf_host *host, btf_context *ctx, const btf_probe *probe) {
   (void)host, (void)ctx, (void)probe;
   return 0;
@@ -539,6 +572,7 @@ int main(void) {
       cmocka_unit_test(options),
       cmocka_unit_test(formats_door),
       cmocka_unit_test(formats_recognise),
+      cmocka_unit_test(host_reads_text),
       cmocka_unit_test(example_registered),
       cmocka_unit_test(example_loaded),
       cmocka_unit_test(refused_modules),

@@ -4,7 +4,7 @@
 #ifndef BTF_FORMATS_BONN_IMAGES_H
 #define BTF_FORMATS_BONN_IMAGES_H
 
-#include "bonn_images/picture.h"
+#include "source/picture.h"
 
 #include <btf/btf_codec.h>
 #include <pthread.h>

@@ -79,3 +79,30 @@ float cursor_f32(cursor *c) {
   const unsigned char *p = cursor_take(c, 1, 4);
   return p != NULL ? btf_get_f32(p) : 0;
 }
+
+void cursor_word(cursor *c, char word[CURSOR_WORD_BYTES]) {
+  size_t length = 0;
+  while (cursor_left(c) > 0 && is_blank(c->file->data[c->at])) c->at++;
+  while (cursor_left(c) > 0 && !is_blank(c->file->data[c->at])) {
+    const char letter = (char)cursor_u8(c);
+    if (length < CURSOR_WORD_BYTES - 1) word[length++] = letter;
+  }
+  word[length] = '\0';
+}
+
+void cursor_line_end(cursor *c) {
+  uint8_t letter = cursor_u8(c);
+  if (letter == ' ' || letter == '\t') letter = cursor_u8(c);
+  if (letter == '\r') letter = cursor_u8(c);
+  if (letter != '\n') c->ended = true;
+}
+
+bool cursor_count(cursor *c, uint32_t most, uint32_t *out) {
+  char word[CURSOR_WORD_BYTES];
+  double value;
+  cursor_word(c, word);
+  if (!(c->file->host->number)(word, &value) || !(value >= 1 && value <= most) || value != floor(value))
+    return false;
+  *out = (uint32_t)value;
+  return true;
+}

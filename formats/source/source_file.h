@@ -34,4 +34,17 @@ float cursor_f32(cursor *c);
 /* count * size bytes in place; NULL beyond the end. */
 const unsigned char *cursor_take(cursor *c, uint64_t count, uint64_t size);
 
+/* ---- headers of text ---- */
+
+enum { CURSOR_WORD_BYTES = 64 };
+static inline bool is_blank(unsigned char c) {
+  return c == ' ' || c == '\t' || c == '\n' || c == '\r';
+}
+/* The next word, cut at 63 characters; empty at the end. The cursor stays behind it. */
+void cursor_word(cursor *c, char word[CURSOR_WORD_BYTES]);
+/* One line end, perhaps after a blank: what looks like more may be data already. */
+void cursor_line_end(cursor *c);
+/* The next word as a whole number from 1 to `most`. */
+bool cursor_count(cursor *c, uint32_t most, uint32_t *out);
+
 #endif

@@ -1,7 +1,5 @@
 /* SPDX-License-Identifier: MIT */
 /* parse.c: chunks, and what the description in XML says of directions. */
-#include <stdlib.h>
-
 #include "utia_mif/mif.h"
 
 enum { IMAGE = 0, XML = 1, IMAGE_HEAD = 48, CHUNK_HEAD = 16, MOST_XML = 1 << 24, MOST_DIRECTIONS = 4096 };
@@ -62,10 +60,6 @@ static btf_status scan(mif_file *mif) {
 }
 
 /* ---- description ---- */
-
-static bool is_blank(unsigned char c) {
-  return c == ' ' || c == '\t' || c == '\n' || c == '\r';
-}
 
 /* Copies the value of an attribute of the tag in [at, end), cut at the size of `value`; false if it is not
  * there. */
@@ -143,12 +137,12 @@ static btf_status make_rings(mif_file *mif, uint32_t step, uint32_t turn, bool n
 }
 
 /* A whole number of degrees that divides `whole`, or 0. */
-static uint32_t read_step(const unsigned char *tag, const unsigned char *end, const char *key,
-                          uint32_t whole) {
-  char text[64], *rest;
-  if (!attribute(tag, end, key, text)) return 0;
-  const double value = strtod(text, &rest);
-  if (*rest != '\0' || !(value >= 1 && value <= whole) || value != floor(value)) return 0;
+static uint32_t read_step(const mif_file *mif, const unsigned char *tag, const unsigned char *end,
+                          const char *key, uint32_t whole) {
+  char text[64];
+  double value;
+  if (!attribute(tag, end, key, text) || !(mif->file.host->number)(text, &value)) return 0;
+  if (!(value >= 1 && value <= whole) || value != floor(value)) return 0;
   return whole % (uint32_t)value == 0 ? (uint32_t)value : 0;
 }
 
@@ -166,7 +160,8 @@ static btf_status make_directions(mif_file *mif) {
     BTF_TRY((host->dirset_create_named)(file->ctx, "ubo81", &mif->lights));
     BTF_TRY((host->dirset_create_named)(file->ctx, "ubo81", &mif->views));
   } else if (strcmp(name, "Uniform") == 0) {
-    const uint32_t step = read_step(tag, end, "stepTheta", 90), turn = read_step(tag, end, "stepPhi", 360);
+    const uint32_t step = read_step(mif, tag, end, "stepTheta", 90),
+                   turn = read_step(mif, tag, end, "stepPhi", 360);
     if (step == 0 || step > 45 || turn == 0 || (90 / step - 1) * (360 / turn) >= MOST_DIRECTIONS)
       return (host->fail)(file->ctx, BTF_E_CORRUPT,
                           "%s: its uniform directions have steps that do not divide a turn", file->path);

@@ -3,6 +3,7 @@
  */
 #include "../source/test_format.h"
 
+#include <locale.h>
 #include <unistd.h>
 
 #include <btf/btf_formats.h>
@@ -325,6 +326,29 @@ static void test_descriptions(void **state) {
   test_context_done(ctx, &memory);
 }
 
+/* A host with a decimal comma reads the same files. */
+static void test_locale(void **state) {
+  (void)state;
+  mif_case c = cases[0];
+  c.xml = "<directions name='Uniform' stepTheta='45.0' stepPhi='9.0e1'/>";
+  test_memory memory;
+  btf_context *ctx = format_context(&memory);
+  const char *path = test_path("locale.dat");
+  bytes b = write_case(&c);
+  test_write_bytes(path, b.data, b.size);
+  free(b.data);
+  btf_dataset *ds;
+  assert_ok(format_try(ctx, path, "utia-mif", NULL, &ds));
+  btf_dataset_release(ds);
+  const int found = test_set_comma_locale();
+  const btf_status status = found ? format_try(ctx, path, "utia-mif", NULL, &ds) : BTF_OK;
+  setlocale(LC_ALL, "C");
+  assert_ok(status);
+  if (found) btf_dataset_release(ds);
+  test_context_done(ctx, &memory);
+  if (!found) skip();
+}
+
 static void test_allocations(void **state) {
   (void)state;
   const char *path = test_path("whole.dat");
@@ -337,6 +361,7 @@ static void test_allocations(void **state) {
 int main(void) {
   const struct CMUnitTest tests[] = {cmocka_unit_test(test_values),       cmocka_unit_test(test_options),
                                      cmocka_unit_test(test_truncation),   cmocka_unit_test(test_lies),
-                                     cmocka_unit_test(test_descriptions), cmocka_unit_test(test_allocations)};
+                                     cmocka_unit_test(test_descriptions), cmocka_unit_test(test_locale),
+                                     cmocka_unit_test(test_allocations)};
   return btf_run("utia_mif", tests);
 }

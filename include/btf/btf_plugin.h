@@ -95,6 +95,10 @@ typedef void (*btf_abrdf_fn)(void *user, uint32_t level, uint32_t x, uint32_t y,
 
 enum { BTF_TRANSPOSE_A = 1u << 0, BTF_TRANSPOSE_B = 1u << 1 };
 
+/** A value of a JSON document. */
+typedef struct btf_json btf_json;
+enum { BTF_JSON_NULL, BTF_JSON_BOOL, BTF_JSON_NUMBER, BTF_JSON_STRING, BTF_JSON_ARRAY, BTF_JSON_OBJECT };
+
 /** Collects textures, numbers and shader text of one model while they are made ready for a GPU. */
 typedef struct btf_gpu_builder btf_gpu_builder;
 
@@ -230,6 +234,22 @@ typedef struct btf_host {
   void (*dirset_release)(btf_dirset *set);
   btf_status (*dataset_create)(btf_context *ctx, const btf_dataset_desc *desc, btf_dataset **out);
   btf_status (*source_error)(btf_status code, const char *format, ...) LIBBTF_PRINTF(2, 3);
+
+  /* 1 with the value of a finite decimal number, whatever the locale: [+-] digits [. digits] [e [+-] digits] and nothing
+   * else; 0 and *out untouched otherwise. */
+  int32_t (*number)(const char *text, double *out);
+  /* JSON. parse takes a whole document of RFC 8259 in UTF-8, 64 levels at most, no name twice in an object; a failure is
+   * BTF_E_CORRUPT with line and column behind `name`. What it gives lives until free. The rest takes NULL and values of
+   * other kinds: length is of arrays and objects, else 0; at is NULL out of range, get NULL without that member, number 0
+   * and string NULL for values that are none (or have a NUL inside). */
+  btf_status (*json_parse)(btf_context *ctx, const char *name, const char *text, uint64_t size, btf_json **out);
+  void (*json_free)(btf_json *document);
+  int32_t (*json_type)(const btf_json *value);
+  uint64_t (*json_length)(const btf_json *value);
+  const btf_json *(*json_at)(const btf_json *value, uint64_t i);
+  const btf_json *(*json_get)(const btf_json *object, const char *name);
+  double (*json_number)(const btf_json *value);
+  const char *(*json_string)(const btf_json *value);
 
   /* For `gpu` of a codec (docs/gpu-export.md). Names are copied.
    * gpu_table: *number names the table in gpu_slice, which returns where the texels of one image go, zeroed, rows

@@ -165,7 +165,7 @@ uint32_t btfi_utf8_length(const void *text, uint64_t size);
 
 /* ---- JSON (json.c) ---- */
 
-typedef struct btfi_json btfi_json;
+typedef struct btf_json btfi_json;
 enum {
   BTFI_JSON_NULL,
   BTFI_JSON_BOOL,

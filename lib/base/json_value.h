@@ -5,7 +5,7 @@
 
 #include "base/base.h"
 
-struct btfi_json {
+struct btf_json {
   uint8_t type;
   bool boolean;
   const char *key; /* of a member of an object, else NULL */

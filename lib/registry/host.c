@@ -66,6 +66,13 @@ static void btfi_svd_free(btf_context *ctx, btf_svd_result *result) {
 }
 #endif
 
+_Static_assert((int)BTF_JSON_NULL == (int)BTFI_JSON_NULL && (int)BTF_JSON_BOOL == (int)BTFI_JSON_BOOL &&
+                   (int)BTF_JSON_NUMBER == (int)BTFI_JSON_NUMBER &&
+                   (int)BTF_JSON_STRING == (int)BTFI_JSON_STRING &&
+                   (int)BTF_JSON_ARRAY == (int)BTFI_JSON_ARRAY &&
+                   (int)BTF_JSON_OBJECT == (int)BTFI_JSON_OBJECT,
+               "the kinds of JSON values are the same on both sides");
+
 static const btf_host host = {
     .struct_size = sizeof(btf_host),
     .abi = LIBBTF_ABI,
@@ -109,6 +116,15 @@ static const btf_host host = {
     .dirset_release = btf_dirset_release,
     .dataset_create = btf_dataset_create,
     .source_error = btf_source_error,
+    .number = btfi_number,
+    .json_parse = btfi_json_parse,
+    .json_free = btfi_json_free,
+    .json_type = btfi_json_type,
+    .json_length = btfi_json_length,
+    .json_at = btfi_json_at,
+    .json_get = btfi_json_get,
+    .json_number = btfi_json_number,
+    .json_string = btfi_json_string,
     .gpu_table = btfi_gpu_table,
     .gpu_slice = btfi_gpu_slice,
     .gpu_uniform = btfi_gpu_uniform,

@@ -44,6 +44,13 @@ static bool parse_number(const char *text, bool whole, double *out) {
   return isfinite(*out) && (!whole || fabs(*out) <= 9007199254740992.0);
 }
 
+int32_t btfi_number(const char *text, double *out) {
+  double value;
+  if (!parse_number(text, false, &value)) return 0;
+  *out = value;
+  return 1;
+}
+
 /* A number as people write it, whatever the locale. */
 static void number_text(double value, char out[32]) {
   snprintf(out, 32, "%.10g", value);

@@ -26,6 +26,8 @@ btf_status btfi_format_open_with(const btf_format *format, const char *path, con
 double btfi_option(const btf_options *options, const char *name);
 const char *btfi_option_text(const btf_options *options, const char *name);
 int32_t btfi_option_is_set(const btf_options *options, const char *name);
+/* As btf_host.number. */
+int32_t btfi_number(const char *text, double *out);
 
 /* Host table entries that the gpu layer defines. */
 btf_status btfi_gpu_table(btf_gpu_builder *b, const btf_gpu_table *table, uint32_t *number);

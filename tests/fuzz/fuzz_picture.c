@@ -5,7 +5,7 @@
 
 #include <math.h>
 
-#include "bonn_images/picture.h"
+#include "source/picture.h"
 
 /* A few bytes may truly code a large picture, which would take long here. */
 enum { MOST_PIXELS = 1 << 16, MOST_SAMPLES = 3 * MOST_PIXELS };

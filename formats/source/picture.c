@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
 /* picture.c: what a picture is, from its first bytes, and what all kinds share. */
-#include "bonn_images/picture.h"
+#include "source/picture.h"
 
 #include <stdarg.h>
 #include <stdio.h>

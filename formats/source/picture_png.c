@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: MIT */
-/* png.c: PNG pictures by libpng. Palettes and few bits become 8, transparency is left out. */
+/* picture_png.c: PNG pictures by libpng. Palettes and few bits become 8, transparency is left out. */
 #include <setjmp.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include <png.h>
 
-#include "bonn_images/picture.h"
+#include "source/picture.h"
 
 enum { MOST_CHUNK_BYTES = 4 << 20, MOST_CHUNKS = 64 };
 

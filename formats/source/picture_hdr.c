@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* hdr.c: Radiance pictures. The line of sizes usually reads "-Y height +X width"; in ATRIUM it is "+X width
+/* picture_hdr.c: Radiance pictures. The line of sizes usually reads "-Y height +X width"; in ATRIUM it is "+X width
  * -Y height", for which every line of the file is a column. */
 #include <float.h>
 #include <math.h>
@@ -9,7 +9,7 @@
 
 #include <btf/btf_half.h>
 
-#include "bonn_images/picture.h"
+#include "source/picture.h"
 
 typedef struct hdr_input {
   const unsigned char *data;

@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: MIT */
-/* jpeg.c: JPEG pictures by libjpeg, a line at a time. */
+/* picture_jpeg.c: JPEG pictures by libjpeg, a line at a time. */
 #include <setjmp.h>
 #include <stdio.h>
 
 #include <jpeglib.h>
 #include <jerror.h>
 
-#include "bonn_images/picture.h"
+#include "source/picture.h"
 
 enum { MOST_SCANS = 64 }; /* a photograph has about ten; thousands of tiny ones only cost time */
 
