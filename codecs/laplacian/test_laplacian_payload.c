@@ -169,7 +169,7 @@ static void check_packed(const btf_model *model, const material *m) {
   btfi_laplacian_pack(s, &p, eigen, layers);
   for (uint32_t turn = 0; turn < 400; turn++) {
     const uint32_t level = turn % levels, light = turn * 7 % n, view = turn / 3 % n;
-    const uint32_t x = turn * 5 % (16u >> level), y = turn / 2 % (16u >> level);
+    const uint32_t x = turn * 5 % s->grid.width[level], y = turn / 2 % s->grid.height[level];
     const float *xyz = btf_dirset_directions(m->directions);
     double sums[3] = {0.0};
     for (uint32_t k = level; k < levels; k++)
@@ -196,16 +196,24 @@ static void check_packed(const btf_model *model, const material *m) {
 
 static void test_packed_equals_tables(void **unused) {
   (void)unused;
+  /* Sizes are powers of two, so that a texel of a coarser level is that of halved numbers. */
+  static const struct {
+    uint32_t width, height;
+    const char *settings;
+  } cases[] = {{16, 16, "filter=paper levels=4"},
+               {16, 16, "filter=paper storage=f32 levels=3 y=5 cr=1"},
+               {16, 16, "filter=paper storage=f32 levels=3 y=9 cb=3 cr=4"},
+               {16, 1, "filter=paper levels=5"},
+               {2, 16, "filter=paper storage=f32 levels=5 y=9"}};
   btf_context *ctx = test_context(&memory);
-  material m = material_create(ctx, MATERIAL_GLOSSY, "grid:5x3", 16, 16, 3, true, BTF_WRAP_PERIODIC);
-  const char *const settings[] = {"filter=paper levels=4", "filter=paper storage=f32 levels=3 y=5 cr=1",
-                                  "filter=paper storage=f32 levels=3 y=9 cb=3 cr=4"};
-  for (size_t i = 0; i < sizeof settings / sizeof *settings; i++) {
-    btf_model *model = laplacian_fit(ctx, &m, settings[i]);
+  for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+    material m = material_create(ctx, MATERIAL_GLOSSY, "grid:5x3", cases[i].width, cases[i].height, 3, true,
+                                 BTF_WRAP_PERIODIC);
+    btf_model *model = laplacian_fit(ctx, &m, cases[i].settings);
     check_packed(model, &m);
     btf_model_release(model);
+    material_release(&m);
   }
-  material_release(&m);
   test_context_done(ctx, &memory);
 }
 
