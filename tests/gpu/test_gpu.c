@@ -111,17 +111,22 @@ static gl_host *open_host(gl_dialect dialect) {
   return NULL;
 }
 
-static const char *export_to(const btf_model *model, const char *layout, int32_t zstd, btf_gpu_cost *cost) {
-  btf_gpu_target target = BTF_GPU_TARGET_INIT;
+static const char *export_for(const btf_model *model, const btf_gpu_target *target, int32_t zstd,
+                              btf_gpu_cost *cost) {
   btf_gpu_export *e;
   const char *folder = test_path("export");
-  target.layout = layout;
-  assert_ok(btf_gpu_export_create(model, &target, &e));
+  assert_ok(btf_gpu_export_create(model, target, &e));
   *cost = (btf_gpu_cost)BTF_GPU_COST_INIT;
   assert_ok(btf_gpu_export_cost(e, cost));
   assert_ok(btf_gpu_export_write(e, folder, zstd));
   btf_gpu_export_release(e);
   return folder;
+}
+
+static const char *export_to(const btf_model *model, const char *layout, int32_t zstd, btf_gpu_cost *cost) {
+  btf_gpu_target target = BTF_GPU_TARGET_INIT;
+  target.layout = layout;
+  return export_for(model, &target, zstd, cost);
 }
 
 /* ---- every codec ---- */
@@ -191,10 +196,9 @@ static bool exports(btf_context *ctx, const codec_case *row) {
 }
 
 /* Indices of two bytes. */
+#define CMF_LARGE "edge=4,resolution=4,codebook=300,sweeps=0,levels=3"
 static const codec_case large_rows[] = {
-    {.codec = "cmf",
-     .options = "edge=4,resolution=4,codebook=300,sweeps=0,levels=3",
-     .channels = CHANNELS(3)},
+    {.codec = "cmf", .options = CMF_LARGE, .channels = CHANNELS(3)},
     {.codec = "lpca", .options = "clusters=300,components=2", .channels = CHANNELS(3)},
 };
 
@@ -255,6 +259,64 @@ static void every_dialect(void **state) {
   btf_context_release(ctx);
 }
 
+/* ---- small targets ---- */
+
+/* Targets whose limits are just above what a texture must have, so that the rest goes to more layers and more
+ * textures; or below it. */
+static void small_targets(void **state) {
+  static const struct {
+    codec_case row;
+    btf_gpu_target target;
+    bool fits;
+  } trials[] = {
+      /* 48 maps of 8 x 8, nine in a layer */
+      {{.codec = "cmf", .options = "edge=8,resolution=8,codebook=16"},
+       {.layout = "atlas", .max_2d = 24, .max_layers = 2},
+       true},
+      {{.codec = "cmf", .options = "edge=8,resolution=8,codebook=16"},
+       {.layout = "stacks", .max_3d = 8},
+       false},
+      /* 4 x 3 views of 3 groups each */
+      {{.codec = "pvpca", .options = "components=8"}, {.layout = "views", .max_layers = 7}, true},
+      {{.codec = "pvpca", .options = "components=8"},
+       {.layout = "views", .max_layers = 7, .max_textures = 8},
+       false},
+      /* 4 clusters of 2 groups in 3 channels */
+      {{.codec = "lpca", .options = "clusters=4,components=8"}, {.layout = "full", .max_layers = 5}, true},
+      {{.codec = "lpca", .options = "clusters=20"}, {.layout = "bytes", .max_3d = 17}, false},
+  };
+  const codec_dataset_recipe recipe = {MATERIAL_SMOOTH, 3, SOURCE_RESIDENT, 0, 0.0f, 0.0f};
+  gl_host *host = open_host(GL_ES_300);
+  btf_context *ctx;
+  (void)state;
+  if (host == NULL) skip();
+  assert_ok(codec_case_context(&defaults, &ctx));
+  for (size_t i = 0; i < sizeof trials / sizeof *trials; i++) {
+    btf_gpu_target target = trials[i].target;
+    btf_model_info info = BTF_MODEL_INFO_INIT;
+    btf_gpu_export *refused;
+    btf_gpu_cost cost;
+    btf_model *model;
+    target.struct_size = sizeof target;
+    if (btf_codec_find(ctx, trials[i].row.codec) == NULL) continue;
+    assert_ok(codec_case_fit(ctx, &trials[i].row, &recipe, NULL, NULL, &model));
+    if (trials[i].fits) {
+      assert_ok(btf_model_describe(model, &info));
+      make_queries(&info);
+      evaluate(model, 3);
+      const char *folder = export_for(model, &target, 0, &cost);
+      const errors e = run(host, folder, NULL, cost.rounding);
+      print_message("%s %s: largest %.2g\n", trials[i].row.codec, target.layout, e.largest / e.peak);
+      assert_true(e.beyond <= TOLERANCE * e.peak);
+    } else {
+      assert_status(btf_gpu_export_create(model, &target, &refused), BTF_E_LIMIT);
+    }
+    btf_model_release(model);
+  }
+  btf_context_release(ctx);
+  gl_host_close(host);
+}
+
 /* ---- planted faults ---- */
 
 /* Replaces each occurrence; fails the test if there is none. */
@@ -298,54 +360,85 @@ static char *with_another_exponent(char *glsl) {
   return replace(glsl, "t1.w", "t0.w");
 }
 
-typedef struct planted_fault {
-  const char *codec;
-  uint32_t row; /* among those of the codec */
-  const char *name;
-  char *(*edit)(char *);
-} planted_fault;
-
-static void check_fault(gl_host *host, btf_context *ctx, const planted_fault *fault) {
-  const codec_dataset_recipe recipe = {MATERIAL_SMOOTH, 3, SOURCE_RESIDENT, 0, 0.0f, 0.0f};
-  const codec_case *row = codec_cases;
-  btf_model_info info = BTF_MODEL_INFO_INIT;
-  btf_gpu_cost cost;
-  btf_model *model;
-  while (strcmp(row->codec, fault->codec) != 0) row++;
-  row += fault->row;
-  assert_string_equal(row->codec, fault->codec);
-  if (!exports(ctx, row)) return;
-  assert_ok(codec_case_fit(ctx, row, &recipe, NULL, NULL, &model));
-  assert_ok(btf_model_describe(model, &info));
-  make_queries(&info);
-  evaluate(model, 3);
-  const errors e = run(host, export_to(model, NULL, 0, &cost), fault->edit, 0.0);
-  print_message("%s, %s: largest %.2g, 99.9th percentile %.2g\n", fault->codec, fault->name,
-                e.largest / e.peak, e.percentile / e.peak);
-  assert_true(e.largest > 10 * TOLERANCE * e.peak);
-  btf_model_release(model);
+static char *with_the_next_map(char *glsl) {
+  return replace(glsl, "t.texel.y + 1, map, 0)", "t.texel.y + 1, map + 1, 0)");
+}
+static char *without_the_high_byte(char *glsl) {
+  return replace(glsl, "256 * id", "0 * id");
+}
+static char *with_the_views_of_another(char *glsl) {
+  return replace(glsl, "btf_view_layers(v[j] ", "btf_view_layers(v[0] ");
+}
+static char *with_one_cluster(char *glsl) {
+  return replace(glsl, "if (clusters[k] == cluster)", "if (clusters[k] >= 0)");
 }
 
 static void faults_are_noticed(void **state) {
-  static const planted_fault faults[] = {
-      {"fmf", 0, "one weight of a triangle is 0", without_a_weight},
-      {"fmf", 0, "one level too coarse", without_a_level},
-      {"fmf", 0, "the slice after", with_the_next_slice},
-      {"lafortune", 0, "the exponent of another lobe", with_another_exponent},
-      {"laplacian", 0, "chroma from the quadrant of luma", without_a_quadrant},
-      {"laplacian", 1, "one band too many", with_a_finer_band}};
+  static const struct {
+    const char *name;
+    char *(*edit)(char *);
+    uint32_t material;
+    codec_case row;
+  } faults[] = {
+      {"one weight of a triangle is 0",
+       without_a_weight,
+       MATERIAL_SMOOTH,
+       {.codec = "fmf", .options = "components=8"}},
+      {"one level too coarse", without_a_level, MATERIAL_SMOOTH, {.codec = "fmf", .options = "components=8"}},
+      {"the slice after", with_the_next_slice, MATERIAL_SMOOTH, {.codec = "fmf", .options = "components=8"}},
+      {"one texel of the map after",
+       with_the_next_map,
+       MATERIAL_SMOOTH,
+       {.codec = "cmf", .options = "edge=8,resolution=8,codebook=8"}},
+      {"indices of one byte", without_the_high_byte, MATERIAL_LARGE, {.codec = "cmf", .options = CMF_LARGE}},
+      {"textures of another view",
+       with_the_views_of_another,
+       MATERIAL_SMOOTH,
+       {.codec = "pvpca", .options = ""}},
+      {"all texels of one cluster",
+       with_one_cluster,
+       MATERIAL_SMOOTH,
+       {.codec = "lpca", .options = "clusters=5"}},
+      {"the exponent of another lobe",
+       with_another_exponent,
+       MATERIAL_SMOOTH,
+       {.codec = "lafortune", .options = ""}},
+      {"chroma from the quadrant of luma",
+       without_a_quadrant,
+       MATERIAL_SMOOTH,
+       {.codec = "laplacian", .options = ""}},
+      {"one band too many",
+       with_a_finer_band,
+       MATERIAL_SMOOTH,
+       {.codec = "laplacian", .options = "psnr=30,mean=table,filter=paper,levels=2,storage=f32"}},
+  };
   gl_host *host = open_host(GL_ES_300);
   btf_context *ctx;
   (void)state;
   if (host == NULL) skip();
   assert_ok(codec_case_context(&defaults, &ctx));
-  for (size_t i = 0; i < sizeof faults / sizeof *faults; i++) check_fault(host, ctx, &faults[i]);
+  for (size_t i = 0; i < sizeof faults / sizeof *faults; i++) {
+    const codec_dataset_recipe recipe = {faults[i].material, 3, SOURCE_RESIDENT, 0, 0.0f, 0.0f};
+    btf_model_info info = BTF_MODEL_INFO_INIT;
+    btf_gpu_cost cost;
+    btf_model *model;
+    if (!exports(ctx, &faults[i].row)) continue;
+    assert_ok(codec_case_fit(ctx, &faults[i].row, &recipe, NULL, NULL, &model));
+    assert_ok(btf_model_describe(model, &info));
+    make_queries(&info);
+    evaluate(model, 3);
+    const errors e = run(host, export_to(model, NULL, 0, &cost), faults[i].edit, 0.0);
+    print_message("%s, %s: largest %.2g, 99.9th percentile %.2g\n", faults[i].row.codec, faults[i].name,
+                  e.largest / e.peak, e.percentile / e.peak);
+    assert_true(e.largest > 10 * TOLERANCE * e.peak);
+    btf_model_release(model);
+  }
   btf_context_release(ctx);
   gl_host_close(host);
 }
 
 int main(void) {
   const struct CMUnitTest tests[] = {cmocka_unit_test(every_codec), cmocka_unit_test(every_dialect),
-                                     cmocka_unit_test(faults_are_noticed)};
+                                     cmocka_unit_test(small_targets), cmocka_unit_test(faults_are_noticed)};
   return btf_run("gpu", tests);
 }
