@@ -115,7 +115,7 @@ export class Renderer {
   get samplesWanted() { return this.map ? IDLE_SAMPLES.environment : IDLE_SAMPLES.light; }
 
   camera(state) {
-    return orbitCamera(this.shape.target, state.camera[0], state.camera[1], state.distance);
+    return orbitCamera(this.shape.target, state.camera[0], state.camera[1], state.distance, this.canvas.width / this.canvas.height);
   }
 
   resize(width, height) {
