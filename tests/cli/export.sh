@@ -23,6 +23,20 @@ else
     expect "an earlier export is replaced" 0
     [ -e exported/notes.txt ] && pass || fail "what lay beside an export is kept"
     [ "$(leftovers . exported export.btfd | grep -c exported)" = 0 ] && pass || fail "an export left something behind" "$(ls -A)"
+    echo mine >exported/index.html
+    run export export.btfz -o exported --quiet
+    [ "$(cat exported/index.html)" = mine ] && pass || fail "a page of somebody else is kept"
+    rm exported/index.html
+    run export export.btfz -o exported --viewer
+    expect "export --viewer" 0 "open exported/index.html"
+    grep -q '"page": "index.html"' exported/manifest.json && pass || fail "the manifest names the page"
+    grep -o 'data-file="btf.glsl">[^<]*' exported/index.html | sed 's/.*>//' | base64 -d | cmp -s - exported/btf.glsl && pass ||
+      fail "the page holds the shader"
+    grep -o 'data-file="btf_v_map.ktx2">[^<]*' exported/index.html | sed 's/.*>//' | base64 -d | cmp -s - exported/btf_v_map.ktx2 && pass ||
+      fail "the page holds the textures"
+    grep -qE '^import |<link rel="stylesheet"|src="src/' exported/index.html && fail "the page needs other files" || pass
+    run export export.btfz -o exported --quiet
+    [ ! -e exported/index.html ] && pass || fail "the page of an earlier export goes with it"
     mkdir other && touch other/manifest.json
     run export export.btfz -o other
     expect "a folder of somebody else" 2 "not a GPU export"

@@ -33,6 +33,6 @@ export function inspect(renderer, page, state, x, y) {
   const texel = [Math.floor(picked.uv[0] * manifest.width), Math.floor(picked.uv[1] * manifest.height)];
   const swatch = document.createElement('i');
   swatch.style.background = hex;
-  page.readout.replaceChildren(swatch, `${hex}   texel ${texel.join(', ')}   level ${picked.lod.toFixed(1)}`);
+  page.readout.replaceChildren(swatch, `${hex} · texel ${texel.join(', ')} · level ${picked.lod.toFixed(1)}`);
   return { ...picked, texel, hex };
 }

@@ -22,7 +22,8 @@ function startState() {
 
 async function run() {
   const state = startState(), sources = [null, null], shapes = {};
-  let renderer = null, moving = 0, last = 0, asked = false, hovered = null, mapFile = null, frozen = false;
+  let renderer = null, moving = 0, last = 0, asked = false, hovered = null, mapFile = null;
+  let frozen = new URLSearchParams(location.search).get('frames') === '0';
 
   const ask = () => { if (!asked) { asked = true; requestAnimationFrame(draw); } };
   const touch = () => { moving = performance.now() + 160; renderer.restart(); ask(); };
@@ -245,7 +246,9 @@ async function run() {
   resize();
   setSurface('sphere');
   const wanted = new URLSearchParams(location.search), embedded = fromPage();
-  if (wanted.get('panel') === '0' || innerWidth <= 760) actions.togglePanel();
+  if (wanted.get('panel') === '0') document.body.classList.add('bare');
+  if (innerWidth <= 760) document.body.classList.add('wide');
+  resize();
   if (wanted.get('env')) await setEnvironment(wanted.get('env'));
   page.welcome.hidden = Boolean(embedded || wanted.get('export'));
   // for tests, and for pages that embed this one
@@ -254,10 +257,13 @@ async function run() {
     open: (url, slot = 0) => load(fromUrl(url), slot),
     inspect: (x, y) => inspect(renderer, page, state, x, y),
     async picture(samples) {
+      const before = frozen;
       frozen = true;
       await renderer.complete(state, samples);
       const url = canvas.toDataURL('image/png');
-      frozen = false;
+      canvas.classList.add('ready');
+      ball.draw();
+      frozen = before;
       return url;
     },
   };

@@ -36,11 +36,12 @@ function toFrame(right, up, back, position) {
     -dot(right, position), -dot(up, position), -dot(back, position), 1];
 }
 
-// The camera of `btf render`: it looks at the target from an azimuth and an elevation; 36 degrees high.
-export function orbitCamera(target, azimuth, elevation, distance) {
+// The camera of `btf render`: it looks at the target from an azimuth and an elevation; 36 degrees high, or wide where
+// that is less.
+export function orbitCamera(target, azimuth, elevation, distance, aspect) {
   const back = directionOf(azimuth, elevation), a = radians(azimuth);
   const right = [-Math.sin(a), Math.cos(a), 0], up = cross(back, right);
-  return { position: add(target, scaled(back, distance)), right, up, back, distance, halfHeight: Math.tan(radians(18)) };
+  return { position: add(target, scaled(back, distance)), right, up, back, distance, halfHeight: Math.tan(radians(18)) / Math.min(aspect, 1) };
 }
 
 export function cameraMatrix(camera, aspect) {

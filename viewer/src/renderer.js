@@ -115,7 +115,7 @@ export class Renderer {
   get samplesWanted() { return this.map ? IDLE_SAMPLES.environment : IDLE_SAMPLES.light; }
 
   camera(state) {
-    return orbitCamera(this.shape.target, state.camera[0], state.camera[1], state.distance);
+    return orbitCamera(this.shape.target, state.camera[0], state.camera[1], state.distance, this.canvas.width / this.canvas.height);
   }
 
   resize(width, height) {
@@ -151,6 +151,7 @@ export class Renderer {
     gl.useProgram(program);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.shadowTarget);
     gl.viewport(0, 0, SHADOW_SIZE, SHADOW_SIZE);
+    gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.POLYGON_OFFSET_FILL);
     gl.polygonOffset(1.5, 2);
     lights.forEach(({ matrix }, i) => {
@@ -160,6 +161,7 @@ export class Renderer {
       this.drawShape();
     });
     gl.disable(gl.POLYGON_OFFSET_FILL);
+    gl.disable(gl.DEPTH_TEST);
   }
 
   // Uniforms that all programs of surfaces have.
