@@ -63,7 +63,6 @@ typedef struct images_file {
   picture_info info; /* what every picture is */
   picture_rules rules;
   void *table; /* sample of each code */
-  uint32_t *pairs;
   pthread_mutex_t mutex;
   pthread_cond_t decoded;
   /* under the mutex */

@@ -107,21 +107,6 @@ static double linear_of(int curve, double exponent, double code) {
   return code;
 }
 
-static btf_status make_pairs(images_file *file) {
-  const uint16_t *table = file->table;
-  file->pairs = (file->host->alloc)(file->ctx, 65536, sizeof *file->pairs);
-  if (file->pairs == NULL) return BTF_E_NOMEM;
-  for (uint32_t i = 0; i < 65536; i++) {
-    const uint16_t codes = (uint16_t)i;
-    unsigned char code[2];
-    memcpy(code, &codes, sizeof code);
-    const uint16_t samples[2] = {table[code[0]], table[code[1]]};
-    memcpy(&file->pairs[i], samples, sizeof samples);
-  }
-  file->rules.pairs = file->pairs;
-  return BTF_OK;
-}
-
 /* The table of samples, and what curve it has in words. */
 static btf_status make_table(images_file *file, const btf_options *options, char words[64]) {
   const btf_host *host = file->host;
@@ -152,7 +137,7 @@ static btf_status make_table(images_file *file, const btf_options *options, char
       ((float *)file->table)[i] = value;
   }
   file->rules.table = file->table;
-  return file->info.depth == 8 && size == 2 ? make_pairs(file) : BTF_OK;
+  return BTF_OK;
 }
 
 /* ---- opening ---- */

@@ -53,7 +53,6 @@ void images_close(images_file *file) {
   (host->free)(ctx, file->list.text);
   (host->free)(ctx, file->fills);
   (host->free)(ctx, file->table);
-  (host->free)(ctx, file->pairs);
   (host->free)(ctx, file->path);
   (host->free)(ctx, file);
 }

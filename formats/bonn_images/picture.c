@@ -108,16 +108,10 @@ void picture_store_row(const picture_info *info, const picture_rules *rules, uin
   if (rules->sample_size == 2) {
     const uint16_t *table = rules->table;
     uint16_t *dst = (uint16_t *)samples + at;
-    size_t i = 0;
-    for (; rules->pairs != NULL && i + 2 <= count; i += 2) {
-      uint16_t codes_of_two;
-      memcpy(&codes_of_two, code8 + i, sizeof codes_of_two);
-      memcpy(dst + i, &rules->pairs[codes_of_two], sizeof *rules->pairs);
-    }
     if (info->depth == 8)
-      for (; i < count; i++) dst[i] = table[code8[i]];
+      for (size_t i = 0; i < count; i++) dst[i] = table[code8[i]];
     else
-      for (; i < count; i++) dst[i] = table[code16[i]];
+      for (size_t i = 0; i < count; i++) dst[i] = table[code16[i]];
   } else {
     const float *table = rules->table;
     float *dst = (float *)samples + at;

@@ -31,9 +31,6 @@ typedef struct picture_rules {
   bool upside_down;     /* the first row of a picture is the bottom one */
   bool columns_as_rows; /* columns of a Radiance picture are taken for rows, the last one on top */
   const void *table;    /* sample of each code, in the type of samples */
-  /* Two half floats of each two codes of 8 bits, both as they lie in memory; or NULL. Looking up one by one
-   * takes a third of the time of libjpeg. */
-  const uint32_t *pairs;
 } picture_rules;
 
 /* What the head of a picture says. *complete is false, with BTF_OK, if `size` bytes are not enough to know.
