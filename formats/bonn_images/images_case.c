@@ -188,6 +188,9 @@ void case_name(case_names names, const char *extension, uint32_t view, uint32_t 
 static uint32_t or_lie(uint32_t truth, uint32_t lie) {
   return lie != 0 ? lie : truth;
 }
+static uint64_t or_lie64(uint64_t truth, uint64_t lie) {
+  return lie != 0 ? lie : truth;
+}
 
 static size_t deflate_bytes(const zip_member *m, unsigned char *out, size_t room) {
   z_stream z = {.next_in = (unsigned char *)(uintptr_t)m->data,
@@ -226,7 +229,7 @@ void zip_add(zip_writer *zip, const zip_member *m) {
     packed_size = deflate_bytes(m, packed, room);
   else if (m->size > 0)
     memcpy(packed, m->data, m->size);
-  const uint64_t size = m->size64_lie != 0 ? m->size64_lie : m->size;
+  const uint64_t size = or_lie64(m->size, m->size64_lie), packed64 = or_lie64(packed_size, m->packed64_lie);
   append_number(&zip->bytes, or_lie(0x04034b50, m->local_signature_lie), 4);
   append_common(&zip->bytes, m, (uint32_t)packed_size, m->zip64 ? 20 : 0);
   case_append(&zip->bytes, m->name, name_size);
@@ -234,7 +237,7 @@ void zip_add(zip_writer *zip, const zip_member *m) {
     append_number(&zip->bytes, 1, 2);
     append_number(&zip->bytes, 16, 2);
     append_number(&zip->bytes, size, 8);
-    append_number(&zip->bytes, packed_size, 8);
+    append_number(&zip->bytes, packed64, 8);
   }
   case_append(&zip->bytes, packed, packed_size);
   free(packed);
@@ -252,8 +255,8 @@ void zip_add(zip_writer *zip, const zip_member *m) {
     append_number(&zip->directory, 1, 2);
     append_number(&zip->directory, 24, 2);
     append_number(&zip->directory, size, 8);
-    append_number(&zip->directory, packed_size, 8);
-    append_number(&zip->directory, offset, 8);
+    append_number(&zip->directory, packed64, 8);
+    append_number(&zip->directory, or_lie64(offset, m->offset64_lie), 8);
   }
   zip->count++;
 }
@@ -268,13 +271,13 @@ void zip_end(zip_writer *zip, bool zip64) {
     append_number(&zip->bytes, 45, 2);
     append_number(&zip->bytes, 45, 2);
     append_number(&zip->bytes, 0, 8); /* this disk and that of the directory */
-    append_number(&zip->bytes, zip->count, 8);
-    append_number(&zip->bytes, zip->count, 8);
-    append_number(&zip->bytes, size, 8);
-    append_number(&zip->bytes, offset, 8);
+    append_number(&zip->bytes, or_lie64(zip->count, zip->count64_lie), 8);
+    append_number(&zip->bytes, or_lie64(zip->count, zip->count64_lie), 8);
+    append_number(&zip->bytes, or_lie64(size, zip->directory_size64_lie), 8);
+    append_number(&zip->bytes, or_lie64(offset, zip->directory_offset64_lie), 8);
     append_number(&zip->bytes, 0x07064b50, 4);
     append_number(&zip->bytes, 0, 4);
-    append_number(&zip->bytes, end, 8);
+    append_number(&zip->bytes, or_lie64(end, zip->record64_lie), 8);
     append_number(&zip->bytes, 1, 4);
   }
   append_number(&zip->bytes, 0x06054b50, 4);

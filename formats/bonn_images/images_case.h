@@ -53,11 +53,13 @@ typedef struct zip_member {
   bool deflated, zip64;
   uint32_t flags, method_lie, crc_lie, size_lie, packed_lie, offset_lie, local_signature_lie;
   uint32_t name_size_lie, disk_lie;
-  uint64_t size64_lie;
+  uint64_t size64_lie, packed64_lie, offset64_lie;
 } zip_member;
 typedef struct zip_writer {
   case_bytes bytes, directory;
   uint32_t count;
+  /* of the end, where not 0: numbers of zip64's record, and where the record is */
+  uint64_t count64_lie, directory_size64_lie, directory_offset64_lie, record64_lie;
 } zip_writer;
 void zip_add(zip_writer *zip, const zip_member *member);
 /* Ends the archive; its bytes are zip->bytes. */

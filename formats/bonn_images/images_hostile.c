@@ -29,6 +29,8 @@ static btf_context *bounded_context(test_memory *memory) {
   return ctx;
 }
 
+static unsigned refusals, truncations;
+
 static void check_refusal(const char *label, btf_status got, btf_status wanted, const char *part,
                           clock_t began) {
   const char *message = btf_error_message();
@@ -37,6 +39,7 @@ static void check_refusal(const char *label, btf_status got, btf_status wanted, 
   if (strstr(message, part) == NULL || strchr(message, '\n') != NULL)
     fail_msg("%s: message \"%s\" lacks \"%s\"", label, message, part);
   if (clock() - began > 2 * CLOCKS_PER_SEC) fail_msg("%s: refused too late", label);
+  refusals++;
 }
 
 /* ---- archives of one or two members ---- */
@@ -66,6 +69,20 @@ static const hostile_case archives[] = {
     {"2^32 - 2 packed bytes", {GOOD, .packed_lie = 0xfffffffe, .size_lie = 0xfffffffe}, {0}, BTF_E_TRUNCATED, "beyond the end"},
     {"size of 2^63", {GOOD, .zip64 = true, .size64_lie = UINT64_C(1) << 63}, {0}, BTF_E_CORRUPT, "unpack"},
     {"size of 2^64 - 1", {GOOD, .zip64 = true, .deflated = true, .size64_lie = UINT64_MAX}, {0}, BTF_E_CORRUPT, "unpack"},
+    {"packed size of 2^63", {GOOD, .zip64 = true, .packed64_lie = UINT64_C(1) << 63}, {0}, BTF_E_CORRUPT, "unpack"},
+    {"both sizes of 2^63", {GOOD, .zip64 = true, .packed64_lie = UINT64_C(1) << 63, .size64_lie = UINT64_C(1) << 63}, {0}, BTF_E_TRUNCATED, "beyond the end"},
+    {"both sizes of 2^64 - 1", {GOOD, .zip64 = true, .packed64_lie = UINT64_MAX, .size64_lie = UINT64_MAX}, {0}, BTF_E_TRUNCATED, "beyond the end"},
+    {"deflated, both sizes of 2^64 - 1", {GOOD, .zip64 = true, .deflated = true, .packed64_lie = UINT64_MAX, .size64_lie = UINT64_MAX}, {0}, BTF_E_CORRUPT, "unpack"},
+    {"packed size of 2^64 - 1", {GOOD, .zip64 = true, .deflated = true, .packed64_lie = UINT64_MAX}, {0}, BTF_E_CORRUPT, "unpack"},
+    {"size of 2^32 - 1 in zip64", {GOOD, .zip64 = true, .deflated = true, .size64_lie = UINT32_MAX}, {0}, BTF_E_CORRUPT, "unpack"},
+    {"offset of 2^31 in zip64", {GOOD, .zip64 = true, .offset64_lie = UINT64_C(1) << 31}, {0}, BTF_E_CORRUPT, "header"},
+    {"offset of 2^63", {GOOD, .zip64 = true, .offset64_lie = UINT64_C(1) << 63}, {0}, BTF_E_CORRUPT, "header"},
+    {"offset of 2^64 - 1", {GOOD, .zip64 = true, .offset64_lie = UINT64_MAX}, {0}, BTF_E_CORRUPT, "header"},
+    {"bytes that go on into the directory", {GOOD, .size_lie = 100, .packed_lie = 100}, {0}, BTF_E_CORRUPT, "checksum"},
+    {"the same name twice", {GOOD}, {GOOD}, BTF_E_CORRUPT, "same light and view"},
+    {"the same pair twice", {GOOD}, {.name = "TV0 PV0 TL0 PL0.png", DATA(hdr_pixel)}, BTF_E_CORRUPT, "same light and view"},
+    {"path upward at the end", {.name = "tl000_pl000_tv000_pv000.png/..", DATA(hdr_pixel)}, {0}, BTF_E_CORRUPT, "leaves"},
+    {"absolute path with a backslash", {.name = "\\tl000_pl000_tv000_pv000.png", DATA(hdr_pixel)}, {0}, BTF_E_CORRUPT, "leaves"},
     {"offset beyond the end", {GOOD, .offset_lie = 0x7fffffff}, {0}, BTF_E_CORRUPT, "header"},
     {"offset into the data", {GOOD, .offset_lie = 40}, {0}, BTF_E_CORRUPT, "header"},
     {"no local header", {GOOD, .local_signature_lie = 0x04034b51}, {0}, BTF_E_CORRUPT, "header"},
@@ -162,6 +179,41 @@ static void refuse_overlaps(void) {
   zip_free(&zip);
 }
 
+/* Numbers of the end of an archive of one member. */
+static void refuse_ends(void) {
+  static const struct {
+    const char *label;
+    zip_writer lies;
+    btf_status status;
+    const char *part;
+  } ends[] = {
+      {"2^31 members", {.count64_lie = UINT64_C(1) << 31}, BTF_E_LIMIT, "members"},
+      {"2^32 - 1 members", {.count64_lie = UINT32_MAX}, BTF_E_LIMIT, "members"},
+      {"2^64 - 1 members", {.count64_lie = UINT64_MAX}, BTF_E_LIMIT, "members"},
+      {"directory of 2^31 bytes", {.directory_size64_lie = UINT64_C(1) << 31}, BTF_E_CORRUPT, "directory"},
+      {"directory of 2^63 bytes", {.directory_size64_lie = UINT64_C(1) << 63}, BTF_E_CORRUPT, "directory"},
+      {"directory of 2^64 - 1 bytes", {.directory_size64_lie = UINT64_MAX}, BTF_E_CORRUPT, "directory"},
+      {"directory at 2^32 - 1", {.directory_offset64_lie = UINT32_MAX}, BTF_E_CORRUPT, "directory"},
+      {"directory at 2^63", {.directory_offset64_lie = UINT64_C(1) << 63}, BTF_E_CORRUPT, "directory"},
+      {"directory at 2^64 - 1", {.directory_offset64_lie = UINT64_MAX}, BTF_E_CORRUPT, "directory"},
+      {"directory whose end wraps round",
+       {.directory_size64_lie = UINT64_MAX - 8, .directory_offset64_lie = 40},
+       BTF_E_CORRUPT,
+       "directory"},
+      {"directory in the first member", {.directory_offset64_lie = 1}, BTF_E_CORRUPT, "directory"},
+      {"record of zip64 beyond the end", {.record64_lie = UINT64_C(1) << 40}, BTF_E_CORRUPT, "directory"},
+      {"record of zip64 at 2^64 - 1", {.record64_lie = UINT64_MAX}, BTF_E_CORRUPT, "directory"},
+      {"record of zip64 in the first member", {.record64_lie = 1}, BTF_E_CORRUPT, "directory"},
+  };
+  for (size_t i = 0; i < sizeof ends / sizeof *ends; i++) {
+    zip_writer zip = ends[i].lies;
+    zip_add(&zip, &(zip_member){GOOD});
+    zip_end(&zip, true);
+    refuse_archive(ends[i].label, &zip.bytes, ends[i].status, ends[i].part);
+    zip_free(&zip);
+  }
+}
+
 static void refuse_counts(void) {
   zip_writer zip = {.count = 0};
   zip_add(&zip, &(zip_member){GOOD});
@@ -197,6 +249,7 @@ void test_hostile_archives(void **state) {
   refuse_bombs();
   refuse_overlaps();
   refuse_counts();
+  refuse_ends();
 }
 
 /* An archive that ends early is not taken, wherever it ends; nor recognised, without a word. */
@@ -218,6 +271,7 @@ void test_truncation(void **state) {
     assert_true(status >= BTF_E_LIMIT && status < BTF_E_CANCELLED);
     assert_true(strlen(btf_error_message()) > 0 && strchr(btf_error_message(), '\n') == NULL);
     (void)!btf_format_detect(ctx, path, &format);
+    truncations++;
   }
   zip_free(&zip);
   test_context_done(ctx, &memory);
@@ -326,6 +380,17 @@ void test_hostile_pictures(void **state) {
   }
   case_free(&picture);
   case_picture(&jpeg, 40, 7, &picture);
+  for (uint32_t i = 0; i < 4; i++) {
+    static const picture_case sizes[] = {{CASE_JPEG, 17, 12, 3, case_code},
+                                         {CASE_JPEG, 12, 16, 3, case_code},
+                                         {CASE_JPEG, 16, 12, 1, case_code},
+                                         {CASE_PNG, 16, 12, 3, case_code}};
+    static const char *const parts[] = {"17 x 12", "12 x 16", "1 channels", "PNG of 16 x 12"};
+    case_bytes other = {0};
+    case_picture(&sizes[i], 40, 7, &other);
+    refuse_picture(parts[i], &others, changed(&other, 0, 0), false, BTF_E_CORRUPT, parts[i]);
+    case_free(&other);
+  }
   refuse_picture("jpeg without end", &others, changed(&picture, 2, 0), true, BTF_E_CORRUPT, "JPEG");
   refuse_picture("jpeg cut", &others, changed(&picture, 150, 0), true, BTF_E_CORRUPT, "JPEG");
   case_free(&picture);
@@ -442,4 +507,11 @@ void test_odd_folders(void **state) {
   assert_int_equal(truncate(inner, 5000), 0);
   check_refusal("zeros", format_try(ctx, path, "bonn-images", NULL, &ds), BTF_E_CORRUPT, "neither", began);
   test_context_done(ctx, &memory);
+}
+
+/* At least as many as all formats together are to have. */
+void test_count_refusals(void **state) {
+  (void)state;
+  print_message("%u damaged or absurd variants and %u truncations were refused\n", refusals, truncations);
+  assert_true(refusals >= 100 && truncations >= 400);
 }

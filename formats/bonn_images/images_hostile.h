@@ -8,5 +8,6 @@ void test_hostile_pictures(void **state); /* when the damaged picture is read */
 void test_truncation(void **state);
 void test_duplicates(void **state);
 void test_odd_folders(void **state);
+void test_count_refusals(void **state); /* behind the others */
 
 #endif

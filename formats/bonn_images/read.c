@@ -156,14 +156,28 @@ static void copy_picture(const images_file *file, const void *samples, const btf
   }
 }
 
+/* Whether the block is of whole pictures that lie in dst as they are decoded. */
+static bool takes_whole(const images_file *file, const btf_block *block, const btf_strides *strides) {
+  const ptrdiff_t cell = (ptrdiff_t)file->rules.sample_size, texel = cell * (ptrdiff_t)file->info.channels;
+  return block->x0 == 0 && block->y0 == 0 && block->width == file->info.width &&
+         block->height == file->info.height && strides->channel == cell && strides->x == texel &&
+         strides->y == texel * (ptrdiff_t)file->info.width;
+}
+
 btf_status images_read(void *user, const btf_block *block, void *dst, const btf_strides *strides) {
   images_file *file = user;
+  const bool whole = takes_whole(file, block, strides);
   for (uint32_t v = 0; v < block->views; v++)
     for (uint32_t l = 0; l < block->lights; l++) {
+      const uint32_t pair = (block->view0 + v) * IMAGES_DIRECTIONS + block->light0 + l;
+      char *at = (char *)dst + (ptrdiff_t)v * strides->view + (ptrdiff_t)l * strides->light;
       image_slot *slot;
-      BTF_TRY(take_slot(file, (block->view0 + v) * IMAGES_DIRECTIONS + block->light0 + l, &slot));
-      copy_picture(file, slot->samples, block,
-                   (char *)dst + (ptrdiff_t)v * strides->view + (ptrdiff_t)l * strides->light, strides);
+      if (whole) {
+        BTF_TRY(decode_pair(file, pair, at));
+        continue;
+      }
+      BTF_TRY(take_slot(file, pair, &slot));
+      copy_picture(file, slot->samples, block, at, strides);
       release_slot(file, slot);
     }
   return BTF_OK;
