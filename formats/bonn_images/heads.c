@@ -5,6 +5,7 @@
 enum {
   HEAD_BYTES = 4096,
   LONG_HEAD_BYTES = 256 << 10, /* a JPEG may have a colour profile and a preview in front */
+  MOST_SIDE = 2048,            /* several are decoded at once */
   SPARE_BYTES = 1 << 20        /* what a picture may hold beside its pixels */
 };
 
@@ -26,6 +27,9 @@ btf_status images_look(const images_file *file, const image_entry *entry, image_
       return picture_fail(fault, BTF_E_TRUNCATED, "ends, or goes on for %d bytes, before it says its size",
                           LONG_HEAD_BYTES);
   }
+  if (info->width > MOST_SIDE || info->height > MOST_SIDE)
+    return picture_fail(fault, BTF_E_LIMIT, "a picture of %u x %u; at most %d a side are read", info->width,
+                        info->height, MOST_SIDE);
   /* Twice what the pixels take unpacked: coders that fail make data a little longer. */
   const uint64_t pixels = (uint64_t)info->width * info->height * info->channels * (info->depth / 8);
   if (entry->size > 2 * pixels + SPARE_BYTES)

@@ -61,8 +61,8 @@ const char *one_view_name(const char *path) {
   return slash != NULL && slash[1] != '\0' ? slash + 1 : path;
 }
 
-btf_status one_view_create(one_view *map, const btf_options *options, const char *reader, const char *kind,
-                           btf_dataset **out) {
+btf_status one_view_create(one_view *map, const btf_options *options, const char *name, const char *reader,
+                           const char *kind, btf_dataset **out) {
   static const float above[3] = {0, 0, 1};
   const btf_host *host = map->file.host;
   btf_context *ctx = map->file.ctx;
@@ -85,7 +85,7 @@ btf_status one_view_create(one_view *map, const btf_options *options, const char
   desc.channels = 3;
   desc.quantity = BTF_QUANTITY_BRDF_COS;
   desc.flags = BTF_DATASET_CONCURRENT_READ;
-  desc.name = one_view_name(map->file.path);
+  desc.name = name;
   desc.read = read_block;
   desc.user = map;
   desc.release = release;

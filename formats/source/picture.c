@@ -105,7 +105,9 @@ void picture_store_row(const picture_info *info, const picture_rules *rules, uin
   const size_t at = count * (rules->upside_down ? row : info->height - 1 - row);
   const unsigned char *code8 = codes;
   const uint16_t *code16 = codes;
-  if (rules->sample_size == 2) {
+  if (rules->sample_size == 1) {
+    memcpy((unsigned char *)samples + at, codes, count);
+  } else if (rules->sample_size == 2) {
     const uint16_t *table = rules->table;
     uint16_t *dst = (uint16_t *)samples + at;
     if (info->depth == 8)

@@ -7,7 +7,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-enum { PICTURE_MOST_SIDE = 2048 };
+enum { PICTURE_MOST_SIDE = 8192 };
 
 /* Why something failed, without the file's name. */
 typedef struct picture_fault {
@@ -27,7 +27,7 @@ typedef struct picture_info {
 
 /* How decoded samples are stored. */
 typedef struct picture_rules {
-  uint32_t sample_size; /* 2: half floats, 4: floats */
+  uint32_t sample_size; /* 2: half floats, 4: floats; 1: the codes themselves, which have 8 bits */
   bool upside_down;     /* the first row of a picture is the bottom one */
   bool columns_as_rows; /* columns of a Radiance picture are taken for rows, the last one on top */
   const void *table;    /* sample of each code, in the type of samples */

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* picture_hdr.c: Radiance pictures. The line of sizes usually reads "-Y height +X width"; in ATRIUM it is "+X width
- * -Y height", for which every line of the file is a column. */
+/* picture_hdr.c: Radiance pictures. The line of sizes usually reads "-Y height +X width"; in ATRIUM it is "+X
+ * width -Y height", for which every line of the file is a column. */
 #include <float.h>
 #include <math.h>
 #include <stdio.h>

@@ -61,7 +61,7 @@ btf_status picture_decode_png(const unsigned char *data, size_t size, const pict
                               const picture_rules *rules, void *samples, picture_fault *fault) {
   png_source source = {data, size, fault};
   const size_t row_bytes = (size_t)info->width * info->channels * (info->depth / 8);
-  unsigned char *codes = calloc(info->height, row_bytes); /* at most 24 MiB: sides are bounded */
+  unsigned char *codes = calloc(info->height, row_bytes); /* sides are bounded */
   png_structp png = png_create_read_struct(PNG_LIBPNG_VER_STRING, &source, on_error, on_warning);
   png_infop head = png != NULL ? png_create_info_struct(png) : NULL;
   btf_status status = BTF_OK;

@@ -43,6 +43,21 @@ btf_status source_file_open(const btf_host *host, btf_context *ctx, const char *
   return BTF_OK;
 }
 
+btf_status source_file_open_beside(const source_file *file, const char *name, source_file *out) {
+  const char *slash = strrchr(file->path, '/');
+  const size_t folder = slash != NULL ? (size_t)(slash - file->path) + 1 : 0, size = strlen(name) + 1;
+  char *path = (file->host->alloc)(file->ctx, folder + size, 1);
+  if (path == NULL) return BTF_E_NOMEM;
+  memcpy(path, file->path, folder);
+  memcpy(path + folder, name, size);
+  const btf_status status = source_file_open(file->host, file->ctx, path, out);
+  const bool there = status == BTF_OK || access(path, F_OK) == 0;
+  (file->host->free)(file->ctx, path);
+  if (status == BTF_OK || status == BTF_E_NOMEM) return status;
+  return (file->host->fail)(file->ctx, there ? status : BTF_E_CORRUPT, "%s: %s %s", file->path, name,
+                            there ? "could not be read" : "is missing beside it");
+}
+
 void source_file_close(source_file *file) {
   if (file->data != NULL) munmap((void *)(uintptr_t)file->data, file->size);
   if (file->path != NULL) (file->host->free)(file->ctx, file->path);

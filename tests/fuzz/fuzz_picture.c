@@ -38,5 +38,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     if (decoded == BTF_OK && !half && info.kind == PICTURE_HDR)
       for (size_t i = 0; i < count; i++) fuzz_expect(isfinite(floats[i]) && floats[i] >= 0);
   }
+  if (info.depth == 8) {
+    static unsigned char codes[MOST_SAMPLES + 1];
+    const picture_rules rules = {.sample_size = 1};
+    codes[count] = 0xab;
+    fault = (picture_fault){BTF_OK, ""};
+    const btf_status decoded = picture_decode(data, size, &info, &rules, codes, &fault);
+    fuzz_expect(decoded == fault.status && codes[count] == 0xab);
+  }
   return 0;
 }
