@@ -67,7 +67,7 @@ END
   done
   run info imported.btfd --input cosine=inside
   expect "--input of a data set" 1 "cosine"
-  for command in verify check "render -o x.png"; do
+  for command in verify check "render -o measured.png"; do
     if [ "${command%% *}" = render ] && ! "$btf" help render >/dev/null 2>&1; then continue; fi
     # shellcheck disable=SC2086
     run $command measured.jpg --input cosine=inside
