@@ -147,8 +147,10 @@ static void copy_texel(const void *state, uint32_t level, uint32_t x, uint32_t y
 
 #define COPY_CODEC(id_, caps_, eval_n_)                                                                      \
   {                                                                                                          \
-    sizeof(btf_codec_vtbl), LIBBTF_ABI, id_, "Keeps every sample", "1", caps_, params, 1, 2, copy_fit,       \
-        copy_load, copy_destroy, copy_levels, copy_resident, copy_eval, eval_n_, copy_texel, NULL            \
+    .struct_size = sizeof(btf_codec_vtbl), .abi = LIBBTF_ABI, .id = id_, .title = "Keeps every sample",      \
+    .version = "1", .caps = caps_, .params = params, .format_read_min = 1, .format_write = 2,                \
+    .fit = copy_fit, .load = copy_load, .destroy = copy_destroy, .levels = copy_levels,                      \
+    .resident_bytes = copy_resident, .eval = copy_eval, .eval_n = eval_n_, .texel = copy_texel               \
   }
 
 const btf_codec_vtbl copy_codec = COPY_CODEC("org.libbtf.copy", BTF_CAP_FIT | BTF_CAP_BATCH, copy_eval_n);

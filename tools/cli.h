@@ -147,8 +147,8 @@ int cli_context(cli *c, btf_context **out);
 /* The failure of naming a codec that the context does not have, with the nearest one it has. */
 int cli_unknown_codec(const cli *c, const btf_context *ctx, const char *id);
 
-/* Sets the values of --param KEY=VALUE on the options of a codec. */
-int cli_codec_options(const cli *c, btf_options *options);
+/* Sets the values KEY=VALUE of an option such as --param on the options of a codec or format. */
+int cli_set_options(const cli *c, const char *option, btf_options *options);
 /* A parameter's type as a word; and two lines about it on standard output. */
 const char *cli_param_type(uint32_t type);
 void cli_print_param(const btf_param_desc *p);

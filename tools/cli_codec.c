@@ -20,14 +20,14 @@ int cli_unknown_codec(const cli *c, const btf_context *ctx, const char *id) {
   return cli_usage(c, "no codec \"%s\"; btf codecs lists those of this build", id);
 }
 
-int cli_codec_options(const cli *c, btf_options *options) {
-  for (int i = 0; i < cli_count(c, "param"); i++) {
-    const char *text = cli_value_at(c, "param", i);
+int cli_set_options(const cli *c, const char *option, btf_options *options) {
+  for (int i = 0; i < cli_count(c, option); i++) {
+    const char *text = cli_value_at(c, option, i);
     const char *equals = strchr(text, '=');
     char *name;
     btf_status status;
     if (equals == NULL || equals == text)
-      return cli_usage(c, "--param is \"%s\"; it takes key=value (btf codecs lists the keys)", text);
+      return cli_usage(c, "--%s is \"%s\"; it takes key=value (btf codecs lists the keys)", option, text);
     name = strndup(text, (size_t)(equals - text));
     if (name == NULL) return cli_out_of_memory();
     status = btf_options_set(options, name, equals + 1);

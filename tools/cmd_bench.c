@@ -297,7 +297,7 @@ static int encode_to(cli *c, bench *b, const btf_dataset *dataset, const char *p
   if (codec == NULL) return cli_unknown_codec(c, c->context, codec_id);
   status = btf_options_create(codec, &options);
   if (status != BTF_OK) return cli_fail_library(status);
-  failed = cli_codec_options(c, options);
+  failed = cli_set_options(c, "param", options);
   if (failed) {
     btf_options_release(options);
     return failed;

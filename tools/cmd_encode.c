@@ -11,14 +11,6 @@
 #include "output_file.h"
 #include "safe_text.h"
 
-/* A place that cannot be written is better found before hours of work. */
-static int try_output(const char *path) {
-  output_file probe;
-  const int failed = output_open(&probe, path);
-  if (!failed) output_abort(&probe);
-  return failed;
-}
-
 typedef struct report {
   uint64_t raw_bytes, bytes;
   double fit_seconds, save_seconds;
@@ -94,7 +86,7 @@ static int encode(cli *c, const btf_codec *codec, const btf_options *options, co
     failed = cli_fail(EXIT_USAGE, "%s: is compressed already; encode takes a data-set folder", source);
   else if (stat(path, &info) == 0 && S_ISDIR(info.st_mode))
     failed = cli_fail(EXIT_IO, "%s: is a folder; encode writes a file", path);
-  if (!failed) failed = try_output(path);
+  if (!failed) failed = output_try(path);
   if (!failed) {
     cli_hold_interrupts();
     failed = fit_and_save(c, in.dataset, codec, options, job, path, &r);
@@ -125,7 +117,7 @@ static int run(cli *c) {
   if (status != BTF_OK) return cli_fail_library(status);
   cli_job(c, &job);
   job.max_working_set = (uint64_t)mebibytes << 20;
-  failed = cli_codec_options(c, options);
+  failed = cli_set_options(c, "param", options);
   if (!failed) failed = encode(c, codec, options, &job, path);
   btf_options_release(options);
   return failed;

@@ -99,7 +99,7 @@ static int run(cli *c) {
   if (c->operand_count == 0) return cli_usage(c, "PATH is missing");
   int failed = cli_required(c, "output", &path);
   if (!failed) failed = cli_choice(c, "type", words, &type);
-  if (!failed) failed = input_open_import(c, c->operands[0], &in);
+  if (!failed) failed = input_open_measured(c, c->operands[0], "format", "param", &in);
   if (failed) return failed;
   cli_hold_interrupts();
   failed = copy_samples(c, &in, path, types[type]);

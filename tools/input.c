@@ -95,8 +95,9 @@ static int unknown_format(const cli *c, const btf_context *ctx, const char *id) 
   return cli_usage(c, "no format \"%s\"; btf import --list shows those of this build", id);
 }
 
-int input_open_import(cli *c, const char *path, input *out) {
-  const char *id = cli_value(c, "format");
+int input_open_measured(cli *c, const char *path, const char *format_option, const char *param_option,
+                        input *out) {
+  const char *id = cli_value(c, format_option);
   btf_options *options = NULL;
   btf_context *ctx;
   btf_status status = BTF_OK;
@@ -107,7 +108,7 @@ int input_open_import(cli *c, const char *path, input *out) {
   if (out->format == NULL) status = btf_format_detect(ctx, path, &out->format);
   if (status == BTF_OK) status = btf_format_options_create(out->format, &options);
   if (status != BTF_OK) return cli_fail_library(status);
-  failed = cli_codec_options(c, options);
+  failed = cli_set_options(c, param_option, options);
   if (!failed) {
     status = btf_format_open(ctx, path, out->format, options, &out->dataset);
     if (status != BTF_OK) failed = cli_fail_library(status);

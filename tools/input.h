@@ -16,8 +16,10 @@ typedef struct input {
 
 /* Opens by what is there: a container, or a data set of whichever format recognises it. Zeroed on failure. */
 int input_open(cli *c, const char *path, input *out);
-/* A data set of the format named by --format, or as recognised, with --param for the format. */
-int input_open_import(cli *c, const char *path, input *out);
+/* A data set of the format that one option of the command line names, or as recognised, with parameters from
+ * another. */
+int input_open_measured(cli *c, const char *path, const char *format_option, const char *param_option,
+                        input *out);
 /* Makes the model: the first of a container, or the data set as it stands. */
 int input_load(input *in);
 /* Both. */

@@ -80,4 +80,6 @@ const btf_codec_vtbl btf_codec_fmf = {
     .eval_n = btfi_fmf_eval_n,
     .texel = btfi_fmf_texel,
     .cost = cost,
+    .from_factors = btfi_fmf_from_factors,
+    .factors = btfi_fmf_factors_of,
 };

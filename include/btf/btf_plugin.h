@@ -231,6 +231,14 @@ typedef struct btf_codec_vtbl {
   void (*texel)(const void *state, uint32_t level, uint32_t x, uint32_t y, uint32_t light, uint32_t view, float *out);
   /** Optional: what a query costs, as btf_model_cost. `out` comes zeroed with struct_size set. */
   void (*cost)(const void *state, uint32_t flags, btf_eval_cost *out);
+  /** Optional: writes the payload of given factors, kept as they are and unless the options say otherwise without loss.
+   *  Options that only a fit looks at are refused when they are set. BTF_E_UNSUPPORTED, with the reason, for factors of
+   *  a kind the codec does not hold; the library has checked them otherwise, but for values that are not finite. */
+  btf_status (*from_factors)(const btf_host *host, btf_context *ctx, const btf_model_shape *shape,
+                             const btf_factors *factors, const btf_options *options, const btf_job *job,
+                             btf_chunk_writer *payload);
+  /** Optional: the factors of a state's finest level, which live as long as it does. `out` comes initialised. */
+  btf_status (*factors)(const void *state, btf_factors *out);
 } btf_codec_vtbl;
 
 /** What a format sees of a file or folder before it says whether it is its own. FROZEN. */

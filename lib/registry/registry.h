@@ -18,6 +18,11 @@ const char *btfi_options_owner(const btf_options *options);
 btf_status btfi_codec_fit(const btf_codec *codec, const btf_dataset *ds, const btf_options *options,
                           const btf_job *job, btf_chunk_writer *payload);
 
+/* Runs the codec's from_factors, likewise. */
+btf_status btfi_codec_from_factors(const btf_codec *codec, const btf_model_shape *shape,
+                                   const btf_factors *factors, const btf_options *options, const btf_job *job,
+                                   btf_chunk_writer *payload);
+
 /* Runs the format's open, likewise. */
 btf_status btfi_format_open_with(const btf_format *format, const char *path, const btf_options *options,
                                  btf_dataset **out);

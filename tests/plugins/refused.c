@@ -61,8 +61,9 @@ static void texel(const void *state, uint32_t l, uint32_t x, uint32_t y, uint32_
 
 #define CODEC(id_, eval_)                                                                                    \
   {                                                                                                          \
-    sizeof(btf_codec_vtbl), CODEC_ABI, id_, "Refused", "1", 0, params, 1, 1, NULL, load, destroy, levels,    \
-        resident_bytes, eval_, NULL, texel, NULL                                                             \
+    .struct_size = sizeof(btf_codec_vtbl), .abi = CODEC_ABI, .id = id_, .title = "Refused", .version = "1",  \
+    .params = params, .format_read_min = 1, .format_write = 1, .load = load, .destroy = destroy,             \
+    .levels = levels, .resident_bytes = resident_bytes, .eval = eval_, .texel = texel                        \
   }
 static const btf_codec_vtbl first = CODEC(FIRST_ID, eval), second = CODEC(SECOND_ID, SECOND_EVAL);
 static const btf_codec_vtbl *const codecs[] = {&first, &second};
