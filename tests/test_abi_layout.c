@@ -104,8 +104,8 @@ GROWABLE(btf_statistics, peak, 32, 32);
 GROWABLE(btf_codec_vtbl, texel, 120, 144);
 GROWABLE(btf_eval_cost, flops, 40, 40);
 GROWABLE(btf_plugin_info, host_size_needed, 40, 56);
-GROWABLE(btf_format_vtbl, open, 56, 56);
-GROWABLE(btf_host, mip_filter, 224, 328);
+GROWABLE(btf_format_vtbl, open, 56, 72);
+GROWABLE(btf_host, mip_filter, 224, 344);
 
 AT(btf_codec_vtbl, abi, 4);
 AT(btf_plugin_info, abi, 4);

@@ -81,6 +81,11 @@ static inline float bonn_scalar(const unsigned char *p, uint32_t size) {
 btf_status bonn_products_prepare(bonn_file *bonn);
 btf_status bonn_products(void *user, btf_factors *out);
 
+/* write.c */
+extern const btf_param_desc *const bonn_write_params[];
+btf_status bonn_write(const btf_host *host, btf_context *ctx, const char *path, const btf_dataset *ds,
+                      const btf_options *options, const btf_job *job);
+
 /* read.c: the data set's source. */
 btf_status bonn_read(void *user, const btf_block *block, void *dst, const btf_strides *strides);
 

@@ -127,4 +127,6 @@ const btf_format_vtbl btf_format_bonn_btf = {.struct_size = sizeof(btf_format_vt
                                              .version = "1",
                                              .params = params,
                                              .probe = probe,
-                                             .open = open_file};
+                                             .open = open_file,
+                                             .write_params = bonn_write_params,
+                                             .write = bonn_write};

@@ -11,6 +11,7 @@
 #define LIBBTF_BTF_PLUGIN_H
 
 #include "btf_format.h"
+#include "btf_io.h"
 #include "btf_model.h"
 
 #ifdef __cplusplus
@@ -199,6 +200,11 @@ typedef struct btf_host {
   void (*dirset_release)(btf_dirset *set);
   btf_status (*dataset_create)(btf_context *ctx, const btf_dataset_desc *desc, btf_dataset **out);
   btf_status (*source_error)(btf_status code, const char *format, ...) LIBBTF_PRINTF(2, 3);
+
+  /* For formats that write, as in btf_dataset.h and btf_io.h. io_file with BTF_IO_WRITE gives a file beside its place,
+   * which close(user, 0) renames. Its write and close set errno. */
+  btf_status (*dataset_factors)(const btf_dataset *ds, btf_factors *io);
+  btf_status (*io_file)(btf_context *ctx, const char *path, uint32_t mode, btf_io *io);
 } btf_host;
 
 /** A codec. Copied at registration; optional slots may be NULL. Grows at its end only. `state` is what load made.
@@ -264,6 +270,12 @@ typedef struct btf_format_vtbl {
    *  the path. */
   btf_status (*open)(const btf_host *host, btf_context *ctx, const char *path, const btf_options *options,
                      btf_dataset **out);
+  const btf_param_desc *const *write_params; /**< for `write`; may be NULL */
+  /** Optional: writes a data set, block by block within job->max_working_set, or the factors it has. What it writes
+   *  appears complete or not at all, and replaces nothing but a file (or folder) of its kind. Messages begin with the
+   *  path; reports and cancelling by host->progress. */
+  btf_status (*write)(const btf_host *host, btf_context *ctx, const char *path, const btf_dataset *ds,
+                      const btf_options *options, const btf_job *job);
 } btf_format_vtbl;
 
 /** What a module exports. Names beginning with "libbtf " are for this project's own modules, whose codecs may have ids

@@ -109,6 +109,8 @@ static const btf_host host = {
     .dirset_release = btf_dirset_release,
     .dataset_create = btf_dataset_create,
     .source_error = btf_source_error,
+    .dataset_factors = btf_dataset_factors,
+    .io_file = btf_io_file,
 };
 
 const btf_host *btfi_host(void) {

@@ -283,6 +283,15 @@ btf_status btfi_format_open_with(const btf_format *format, const char *path, con
   return status;
 }
 
+btf_status btfi_format_write_with(const btf_format *format, const char *path, const btf_dataset *ds,
+                                  const btf_options *options, const btf_job *job) {
+  btf_options asked = *options;
+  btfi_wrong_name wrong = {.taken = ATOMIC_FLAG_INIT};
+  asked.wrong = &wrong;
+  const btf_status status = format->vtbl.write(btfi_host(), format->ctx, path, ds, &asked, job);
+  return wrong_name(&format->write_params, &wrong, status);
+}
+
 double btfi_option(const btf_options *options, const char *name) {
   uint32_t i;
   return find_asked(options, name, &i) != NULL ? options->values[i].number : 0.0;

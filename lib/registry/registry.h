@@ -27,6 +27,10 @@ btf_status btfi_codec_from_factors(const btf_codec *codec, const btf_model_shape
 btf_status btfi_format_open_with(const btf_format *format, const char *path, const btf_options *options,
                                  btf_dataset **out);
 
+/* Runs the format's write, likewise. */
+btf_status btfi_format_write_with(const btf_format *format, const char *path, const btf_dataset *ds,
+                                  const btf_options *options, const btf_job *job);
+
 /* Host table entries: values by parameter name; 0 or NULL for a name the codec does not have. */
 double btfi_option(const btf_options *options, const char *name);
 const char *btfi_option_text(const btf_options *options, const char *name);
