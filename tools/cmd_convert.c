@@ -6,7 +6,7 @@
 #include <sys/stat.h>
 
 #include "commands.h"
-#include "input.h"
+#include "folder_copy.h"
 #include "output_file.h"
 #include "safe_text.h"
 
@@ -43,6 +43,8 @@ static int choose_target(const cli *c, const input *in, const char *path, const 
   *to = cli_value(c, "to");
   if (*to != NULL) return EXIT_DONE;
   if (ends_with(path, ".btfz")) return choose_codec(in, to);
+  if (ends_with(path, ".btfd")) *to = "folder";
+  if (*to != NULL) return EXIT_DONE;
   return cli_usage(c, "%s: its name does not tell what to convert to; --to does", path);
 }
 
@@ -83,25 +85,89 @@ static int to_container(cli *c, const input *in, const btf_codec *codec, const c
   return failed;
 }
 
+/* ---- formats ---- */
+
+static int to_format(cli *c, const input *in, const btf_format *format, const char *path) {
+  btf_options *options = NULL;
+  btf_job job = BTF_JOB_INIT;
+  btf_status status = btf_format_write_options_create(format, &options);
+  if (status != BTF_OK) return cli_fail_library(status);
+  const int failed = cli_set_options(c, "param", options);
+  cli_job(c, &job);
+  if (!failed) status = btf_format_write(c->context, path, format, options, in->dataset, &job);
+  btf_options_release(options);
+  cli_progress_done(c);
+  return failed ? failed : status == BTF_OK ? EXIT_DONE : cli_fail_library(status);
+}
+
+static int to_folder(cli *c, input *in, const char *path) {
+  uint32_t sample_type;
+  if (cli_has(c, "param")) return cli_usage(c, "--param is not for a folder; --type is");
+  const int failed = folder_copy_type(c, &sample_type);
+  return failed ? failed : folder_copy(c, in, path, sample_type);
+}
+
+static int list(cli *c) {
+  btf_context *ctx;
+  const int failed = cli_context(c, &ctx);
+  if (failed) return failed;
+  printf("folder: %s\n", btf_format_title(btf_format_find(ctx, "folder")));
+  for (uint32_t i = 0; i < btf_format_count(ctx); i++) {
+    const btf_format *format = btf_format_at(ctx, i);
+    if (!btf_format_can_write(format)) continue;
+    printf("%s: ", btf_format_id(format));
+    safe_text_put(stdout, btf_format_title(format));
+    putchar('\n');
+    for (uint32_t k = 0; k < btf_format_write_param_count(format); k++) {
+      btf_param_desc p = {.struct_size = sizeof p};
+      if (btf_format_write_param(format, k, &p) == BTF_OK) cli_print_param(&p);
+    }
+  }
+  return EXIT_DONE;
+}
+
 /* ---- the command ---- */
 
-static int convert(cli *c, const input *in, const char *path) {
+static int unknown_target(const cli *c, const char *to) {
+  enum { most = 256 };
+  const char *words[most + 1];
+  uint32_t count = 0;
+  for (uint32_t i = 0; i < btf_codec_count(c->context) && count < most; i++)
+    words[count++] = btf_codec_id(btf_codec_at(c->context, i));
+  for (uint32_t i = 0; i < btf_format_count(c->context) && count < most; i++)
+    words[count++] = btf_format_id(btf_format_at(c->context, i));
+  words[count] = NULL;
+  const char *nearest = cli_near_miss(to, words);
+  if (nearest != NULL) return cli_usage(c, "no codec or format \"%s\"; did you mean %s?", to, nearest);
+  return cli_usage(c, "no codec or format \"%s\"; btf codecs and btf convert --list show them", to);
+}
+
+static int convert_to(cli *c, input *in, const char *to, const char *path) {
+  const btf_codec *codec = btf_codec_find(c->context, to);
+  const btf_format *format = btf_format_find(c->context, to);
+  if (strcmp(to, "folder") == 0) return to_folder(c, in, path);
+  if (cli_has(c, "type")) return cli_usage(c, "--type is for a folder (--to folder)");
+  if (codec != NULL) return to_container(c, in, codec, path);
+  return format != NULL ? to_format(c, in, format, path) : unknown_target(c, to);
+}
+
+static int convert(cli *c, input *in, const char *path) {
   const double started = cli_seconds();
   const char *to;
   int failed = choose_target(c, in, path, &to);
   if (failed) return failed;
-  const btf_codec *codec = btf_codec_find(c->context, to);
-  if (codec == NULL) return cli_unknown_codec(c, c->context, to);
   cli_hold_interrupts();
-  failed = to_container(c, in, codec, path);
+  failed = convert_to(c, in, to, path);
   cli_release_interrupts();
   if (!failed) print_report(path, to, cli_seconds() - started);
   return failed;
 }
 
 static int run(cli *c) {
-  const char *path = c->operands[1];
   input in = {0};
+  if (cli_has(c, "list")) return list(c);
+  if (c->operand_count < 2) return cli_usage(c, "%s is missing", c->operand_count == 0 ? "IN" : "OUT");
+  const char *path = c->operands[1];
   c->operand_count = 1; /* where the result lies is not recorded in it */
   int failed = open_source(c, &in);
   if (!failed) failed = convert(c, &in, path);
@@ -110,21 +176,24 @@ static int run(cli *c) {
 }
 
 static const cli_option options_table[] = {
-    {"to", 0, "NAME", "what to convert to: a codec that keeps factors", 0},
+    {"to", 0, "NAME", "what to convert to: a codec that keeps factors, a format, or folder", 0},
     {"param", 'p', "KEY=VALUE", "set a parameter of that; may be repeated", 0},
+    CLI_OPTION_SAMPLE_TYPE,
     {"from", 0, "NAME", "the format of IN, instead of recognising it from the content", 0},
     {"from-param", 0, "KEY=VALUE", "set a parameter of that format; may be repeated", 0},
+    {"list", 0, NULL, "list the formats that this build writes and their parameters", CLI_OPTION_UNRECORDED},
     CLI_OPTIONS_END};
 
-const cli_command cmd_convert = {"convert",
-                                 "changes the form of data without compressing it anew",
-                                 "IN OUT [--to NAME] [-p KEY=VALUE]... [options]",
-                                 "IN is a data set, measured data or a container. Factorised measurements "
-                                 "become a model that holds the same\n"
-                                 "factors, with values equal to those of IN: fmf, or pvpca where each view "
-                                 "is factorised by itself. Without\n"
-                                 "--to that is what a name OUT.btfz gets.",
-                                 options_table,
-                                 2,
-                                 2,
-                                 run};
+const cli_command cmd_convert = {
+    "convert",
+    "changes the form of data without compressing it anew",
+    "IN OUT [--to NAME] [-p KEY=VALUE]... [options]\n--list",
+    "IN is a data set, measured data or a container. Factorised measurements become a model that holds the "
+    "same\n"
+    "factors, with values equal to those of IN: fmf, or pvpca where each view is factorised by itself. "
+    "Without\n"
+    "--to that is what a name OUT.btfz gets, and OUT.btfd becomes a data-set folder.",
+    options_table,
+    0,
+    2,
+    run};

@@ -38,10 +38,48 @@ else
   [ ! -e x.btfz ] && pass || fail "a failed conversion left something behind"
   run convert measured.jpg nowhere/x.btfz
   expect "a place that is not there" 2 "nowhere"
+  run convert measured.jpg samples.btfd --type f32
+  expect "convert to a folder" 0 "samples.btfd: folder"
+  run compare measured.jpg samples.btfd --exact
+  expect "samples of a folder" 0 ""
+  run convert kept.btfz decoded.btfd --type f32
+  run compare measured.jpg decoded.btfd --exact
+  expect "a container as a folder" 0 ""
+  if python3 -c 'import numpy' 2>/dev/null; then
+    # The three lines of docs/formats.md.
+    python3 - <<'END' && pass || fail "numpy reads the folder"
+import json, numpy as np
+m = json.load(open("samples.btfd/manifest.json"))
+a = np.memmap("samples.btfd/samples.bin", "<f4", "r", shape=(len(m["views"]), len(m["lights"]), m["height"], m["width"], len(m["channels"])))
+v, l, y, x, c = np.indices(a.shape)
+assert (a == (l + 1) * (v + 1) * (10 * y + x + 1) / 256).all()
+END
+  else
+    skip "numpy reads the folder: no numpy"
+  fi
+  for family in fmf dfmf; do
+    run convert kept.btfz written.btf --to bonn-btf -p family=$family -p scalar=float
+    expect "write $family" 0 "written.btf: bonn-btf"
+    run compare measured.jpg written.btf --max-rmse 1e-7
+    expect "$family is read back" 0 ""
+  done
+  run convert imported.btfd x.btf --to bonn-btf
+  expect "samples as factors" 5 "holds samples"
+  run convert measured.jpg x.btf --to bonn-btf -p cosine=inside
+  expect "a parameter of reading" 1 "family, scalar"
+  run convert measured.jpg x.btf --to bonn-btf --type f32
+  expect "a type for factors" 1 "--type"
+  run convert measured.jpg x.btfd -p type=f32
+  expect "a parameter for a folder" 1 "--type"
+  run convert measured.jpg x.bin --to merl
+  [ "$status" = 1 ] || expect "a format that is only read" 5 "only read"
+  [ ! -e x.btf ] && [ ! -e x.btfd ] && pass || fail "a failed conversion left something behind"
+  run convert --list
+  expect "what can be written" 0 "-p family="
   mkdir folder.btfz
   run convert measured.jpg folder.btfz
   expect "a folder in the place of a container" 2 "is a folder"
   rmdir folder.btfz
 fi
 run convert measured.jpg
-expect "convert without OUT" 1 "argument is missing"
+expect "convert without OUT" 1 "OUT is missing"
