@@ -77,6 +77,8 @@ static void fill(source *s, uint32_t products, uint32_t components) {
 }
 
 static btf_status make(btf_context *ctx, source *s, btf_dataset **out) {
+  static const char *const notes[] = {"setup",       "a dome",          "",  "no key",
+                                      "btf.command", "not ours to set", NULL};
   btf_dataset_desc d = BTF_DATASET_DESC_INIT;
   btf_dirset *lights, *views;
   float xyz[2][3 * LIGHTS];
@@ -96,6 +98,7 @@ static btf_status make(btf_context *ctx, source *s, btf_dataset **out) {
   d.channels = CHANNELS;
   d.quantity = BTF_QUANTITY_BRDF_COS;
   d.name = "given";
+  d.notes = notes;
   d.read = read_block;
   d.factors = factors;
   d.user = s;
@@ -259,6 +262,49 @@ static void test_models_are_data(void **state) {
   test_context_done(ctx, &memory);
 }
 
+static void expect_note(const btf_model *model) {
+  btf_dataset *ds;
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  assert_ok(btf_dataset_from_model(model, &ds));
+  assert_ok(btf_dataset_describe(ds, &d));
+  assert_non_null(d.notes);
+  assert_string_equal(d.notes[0], "setup");
+  assert_string_equal(d.notes[1], "a dome");
+  btf_dataset_release(ds);
+}
+
+/* What is known of the data goes with the model, into a file's metadata and back; keys of the library's own
+ * and such as no container holds do not. */
+static void test_notes(void **state) {
+  (void)state;
+  static source s;
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  btf_dataset *ds;
+  btf_model *model;
+  btf_file *file;
+  fill(&s, 1, 3);
+  assert_ok(make(ctx, &s, &ds));
+  assert_ok(keep(ds, ctx, "fmf", "", NULL, &model));
+  btf_dataset_release(ds);
+  expect_note(model);
+  for (int again = 0; again < 2; again++) {
+    const char *path = test_path("notes.btfz");
+    assert_ok(btf_model_save(model, path, 0, "a test", NULL));
+    btf_model_release(model);
+    assert_ok(btf_file_open_path(ctx, path, 0, &file));
+    assert_string_equal(btf_file_metadata(file, "setup"), "a dome");
+    assert_string_equal(btf_file_metadata(file, "btf.command"), "a test");
+    assert_null(btf_file_metadata(file, ""));
+    assert_int_equal(btf_file_metadata_count(file), 3); /* and btf.writer */
+    assert_ok(btf_file_load_model(file, 0, &model));
+    btf_file_close(file);
+    expect_note(model);
+  }
+  btf_model_release(model);
+  test_context_done(ctx, &memory);
+}
+
 static void test_zeros(void **state) {
   (void)state;
   static source s;
@@ -409,9 +455,9 @@ static void test_allocations(void **state) {
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_storages),        cmocka_unit_test(test_levels),
-      cmocka_unit_test(test_models_are_data), cmocka_unit_test(test_zeros),
-      cmocka_unit_test(test_refusals),        cmocka_unit_test(test_arguments),
-      cmocka_unit_test(test_allocations),
+      cmocka_unit_test(test_models_are_data), cmocka_unit_test(test_notes),
+      cmocka_unit_test(test_zeros),           cmocka_unit_test(test_refusals),
+      cmocka_unit_test(test_arguments),       cmocka_unit_test(test_allocations),
   };
   return btf_run("factors", tests);
 }

@@ -58,6 +58,7 @@ btf_status btf_dataset_from_model(const btf_model *model, btf_dataset **out) {
   desc.source = info.source;
   desc.license = info.license;
   desc.texels_per_mm = info.texels_per_mm;
+  desc.notes = (const char *const *)btfi_payload_header(model->payload)->notes;
   desc.read = read_block;
   desc.factors = factors_of;
   desc.user = btf_model_retain(model);

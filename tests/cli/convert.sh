@@ -12,6 +12,11 @@ else
   expect "factors are kept as they are" 0 ""
   run info kept.btfz
   expect "what is recorded" 0 "btf convert measured.jpg"
+  expect "notes of the measurement" 0 "bonn_setup*dome"
+  if "$btf" encode imported.btfd -o noted.btfz --codec fmf -p components=1 >/dev/null 2>&1; then
+    run info noted.btfz
+    expect "notes by way of a folder" 0 "bonn_setup*dome"
+  fi
   run convert measured.jpg again.btfz -t 2
   cmp -s kept.btfz again.btfz && pass || fail "the name of the output and the threads change the bytes"
   run convert kept.btfz packed.btfz -p storage=f32 -p coding=packed
