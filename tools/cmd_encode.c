@@ -11,14 +11,6 @@
 #include "output_file.h"
 #include "safe_text.h"
 
-/* A place that cannot be written is better found before hours of work. */
-static int try_output(const char *path) {
-  output_file probe;
-  const int failed = output_open(&probe, path);
-  if (!failed) output_abort(&probe);
-  return failed;
-}
-
 typedef struct report {
   uint64_t raw_bytes, bytes;
   double fit_seconds, save_seconds;
@@ -94,7 +86,7 @@ static int encode(cli *c, const btf_codec *codec, const btf_options *options, co
     failed = cli_fail(EXIT_USAGE, "%s: is compressed already; encode takes a data-set folder", source);
   else if (stat(path, &info) == 0 && S_ISDIR(info.st_mode))
     failed = cli_fail(EXIT_IO, "%s: is a folder; encode writes a file", path);
-  if (!failed) failed = try_output(path);
+  if (!failed) failed = output_try(path);
   if (!failed) {
     cli_hold_interrupts();
     failed = fit_and_save(c, in.dataset, codec, options, job, path, &r);

@@ -9,6 +9,7 @@ extern const cli_command cmd_bench;
 extern const cli_command cmd_check;
 extern const cli_command cmd_codecs;
 extern const cli_command cmd_compare;
+extern const cli_command cmd_convert;
 extern const cli_command cmd_encode;
 extern const cli_command cmd_eval;
 extern const cli_command cmd_export;

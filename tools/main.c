@@ -11,11 +11,11 @@ static const cli_command *const commands[] = {
 #ifdef BTF_TOOL_SYNTH
     &cmd_synth,
 #endif
-    &cmd_import, &cmd_encode, &cmd_info,  &cmd_eval,  &cmd_fetch, &cmd_compare,
+    &cmd_import, &cmd_convert, &cmd_encode, &cmd_info,  &cmd_eval, &cmd_fetch, &cmd_compare,
 #ifdef BTF_TOOL_RENDER
     &cmd_render,
 #endif
-    &cmd_export, &cmd_verify, &cmd_check, &cmd_bench,
+    &cmd_export, &cmd_verify,  &cmd_check,  &cmd_bench,
 };
 enum { command_count = sizeof commands / sizeof *commands };
 

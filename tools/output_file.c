@@ -87,3 +87,10 @@ int output_write(const char *path, const void *data, size_t size) {
   (void)!fwrite(data, 1, size, out.stream);
   return output_commit(&out);
 }
+
+int output_try(const char *path) {
+  output_file probe;
+  const int failed = output_open(&probe, path);
+  if (!failed) output_abort(&probe);
+  return failed;
+}

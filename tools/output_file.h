@@ -12,6 +12,8 @@ typedef struct output_file {
 
 /* Creates the temporary file. Interruptions are held until commit or abort. */
 int output_open(output_file *out, const char *path);
+/* Whether the file could be created: a place that cannot be written is better found before hours of work. */
+int output_try(const char *path);
 /* Flushes, syncs and renames; on failure removes the file. */
 int output_commit(output_file *out);
 /* Removes the temporary file; fine on a zeroed struct and after commit. */

@@ -82,4 +82,6 @@ const btf_codec_vtbl btf_codec_fmf = {
     .cost = cost,
     .gpu_layouts = btfi_fmf_gpu_layouts,
     .gpu = btfi_fmf_gpu,
+    .from_factors = btfi_fmf_from_factors,
+    .factors = btfi_fmf_factors_of,
 };

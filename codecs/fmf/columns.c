@@ -30,9 +30,35 @@ static float scale_of(float largest) {
   return largest > 0.0f ? largest : 1.0f;
 }
 
+/* The smallest power of two that is not below. */
+static float power_of(float largest) {
+  int exponent;
+  const float fraction = frexpf(largest, &exponent);
+  if (fraction == 0.5f) exponent--;
+  return exponent < 128 ? ldexpf(1.0f, exponent) : largest;
+}
+
 /* The rest of a value after rounding, as the tables will hold it. */
 static float rest_of(uint32_t storage, float value, float scale) {
   return value - btfi_fmf_round(storage, value / scale) * scale;
+}
+
+static double rounding_of(uint32_t storage, const float *values, uint64_t length, float scale) {
+  double error = 0.0;
+  for (uint64_t i = 0; i < length; i++) {
+    const double left = rest_of(storage, values[i], scale);
+    error += left * left;
+  }
+  return error;
+}
+
+/* The scale of a column of largest magnitude `scale`, or a power of two: 8 bits would lose range by it. */
+static float finer_scale(uint32_t storage, const float *values, uint64_t length, float scale) {
+  const float power = power_of(scale);
+  if (storage == FMF_Q8) return scale;
+  if (storage == FMF_F32) return power;
+  return rounding_of(storage, values, length, power) < rounding_of(storage, values, length, scale) ? power
+                                                                                                   : scale;
 }
 
 static void measure_column(void *job, uint32_t index, uint32_t thread) {
@@ -49,6 +75,7 @@ static void measure_column(void *job, uint32_t index, uint32_t thread) {
     s->square += (double)values[i] * values[i];
   }
   s->scale = scale_of(largest);
+  if (p->factors->by_powers) s->scale = finer_scale(p->storage, values, length, s->scale);
   s->rest_scale = 1.0f;
   if (p->storage == FMF_F32) return;
   for (uint64_t i = 0; i < length; i++) {
@@ -57,10 +84,7 @@ static void measure_column(void *job, uint32_t index, uint32_t thread) {
     s->rounding += (double)values[i] * values[i];
   }
   s->rest_scale = scale_of(largest_rest);
-  for (uint64_t i = 0; i < length; i++) {
-    const double left = rest_of(p->storage, values[i], s->rest_scale);
-    s->rest += left * left;
-  }
+  s->rest = rounding_of(p->storage, values, length, s->rest_scale);
 }
 
 /* Squared error that a column for the rest of one side of component k removes. */
@@ -122,9 +146,12 @@ btf_status btfi_fmf_plan_columns(const btf_host *host, btf_context *ctx, const b
   return status;
 }
 
+float btfi_fmf_side_scale(uint32_t storage, const btfi_fmf_column *column, uint32_t side) {
+  return storage == FMF_Q8 ? column->scale[side] * (1.0f / 127.0f) : column->scale[side];
+}
+
 float btfi_fmf_column_scale(uint32_t storage, const btfi_fmf_column *column) {
-  const float unit = storage == FMF_Q8 ? 1.0f / 127.0f : 1.0f;
-  return column->scale[0] * unit * (column->scale[1] * unit);
+  return btfi_fmf_side_scale(storage, column, FMF_SIDE_U) * btfi_fmf_side_scale(storage, column, FMF_SIDE_V);
 }
 
 /* ---- filling ---- */

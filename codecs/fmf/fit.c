@@ -27,19 +27,12 @@ typedef struct fitting {
 
 static void read_options(fitting *f, const btf_options *options) {
   const btf_host *host = f->host;
-  const uint32_t all_levels = host->mip_count(f->out.width, f->out.height);
-  const double zstd = host->option(options, "zstd");
+  btfi_fmf_read_storage(&f->out, options);
   f->has_target = host->option(options, "psnr") > 0.0 || host->option(options, "rmse") > 0.0;
   f->want_mean = host->option(options, "mean") != 0.0;
-  f->out.loss = host->option(options, "loss");
   f->accuracy = host->option(options, "accuracy");
   f->most_components = (uint32_t)host->option(options, f->has_target ? "max_components" : "components");
   if (f->want_mean && f->most_components == FMF_MAX_COMPONENTS) f->most_components--;
-  f->out.head.storage = (uint32_t)host->option(options, "storage");
-  f->out.head.coding = (uint32_t)host->option(options, "coding");
-  f->out.head.levels = (uint32_t)host->option(options, "levels");
-  if (f->out.head.levels == 0 || f->out.head.levels > all_levels) f->out.head.levels = all_levels;
-  if (zstd != 0.0) host->set_zstd_level(f->out.payload, (int32_t)zstd);
 }
 
 /* The squared error to reach, from the data's own peak. */

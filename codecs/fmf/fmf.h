@@ -106,6 +106,9 @@ typedef struct btfi_fmf_factors {
   /* Writes component k of a side. Called from several threads. */
   void (*column)(const void *user, uint32_t side, uint32_t k, float *dst);
   const void *user;
+  /* A column is divided by a power of two instead where that loses less: of values that were rounded before,
+   * nothing at all. */
+  bool by_powers;
 } btfi_fmf_factors;
 
 /* A column of the tables: a component as rounded by the storage, or what the rounding of one side left. */
@@ -125,6 +128,8 @@ typedef struct btfi_fmf_plan {
  * rows holds, and for 8-bit storage until they are at most `tolerated` or 64 are added. */
 btf_status btfi_fmf_plan_columns(const btf_host *host, btf_context *ctx, const btfi_fmf_factors *factors,
                                  uint32_t storage, double tolerated, btfi_fmf_plan *out);
+/* What a stored 1 of a side stands for, and the product of both sides. */
+float btfi_fmf_side_scale(uint32_t storage, const btfi_fmf_column *column, uint32_t side);
 float btfi_fmf_column_scale(uint32_t storage, const btfi_fmf_column *column);
 /* Fills the tables, which are zero, from the factors; levels of V by filtering its finest. */
 btf_status btfi_fmf_fill_tables(const btf_host *host, btf_context *ctx, const btfi_fmf_factors *factors,
@@ -158,7 +163,7 @@ btf_status btfi_fmf_unpack(const btf_host *host, btf_context *ctx, const char *n
 /* btfi_fmf_factors.column of a btfi_fmf_packed. */
 void btfi_fmf_packed_column(const void *packed, uint32_t side, uint32_t k, float *dst);
 
-/* ---- payload (load.c, fit.c) ---- */
+/* ---- payload (load.c, write.c) ---- */
 
 typedef struct btfi_fmf_head {
   uint32_t coding, storage, components, columns, levels, flags; /* columns: 0 in packed coding */
@@ -192,7 +197,11 @@ typedef struct btfi_fmf_writing {
   btfi_fmf_plan plan;
 } btfi_fmf_writing;
 
-/* Room for the factors; freed also after a failure. */
+/* What is asked of the payload: coding, storage, levels, loss. */
+void btfi_fmf_read_storage(btfi_fmf_writing *f, const btf_options *options);
+/* The sizes of the factors, and room for what is known of each; freed also after a failure. */
+btf_status btfi_fmf_writing_open(btfi_fmf_writing *f, uint32_t components);
+/* The same with room for the factors themselves. */
 btf_status btfi_fmf_writing_alloc(btfi_fmf_writing *f, uint32_t components);
 void btfi_fmf_writing_free(btfi_fmf_writing *f);
 /* Squared relative error of rounding both factors, about; it only shifts where the choice of components
@@ -204,6 +213,13 @@ btf_status btfi_fmf_write(btfi_fmf_writing *f);
 
 btf_status btfi_fmf_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
                         const btf_options *options, const btf_job *job, btf_chunk_writer *payload);
+
+/* ---- given factors (factors.c) ---- */
+
+btf_status btfi_fmf_from_factors(const btf_host *host, btf_context *ctx, const btf_model_shape *shape,
+                                 const btf_factors *given, const btf_options *options, const btf_job *job,
+                                 btf_chunk_writer *payload);
+btf_status btfi_fmf_factors_of(const void *state, btf_factors *out);
 
 /* ---- state and evaluation (eval.c) ---- */
 
@@ -222,6 +238,7 @@ typedef struct btfi_fmf_state {
   uint64_t resident;
   btfi_fmf_layout layout;
   void *owned[FMF_MAX_LEVELS + 1];           /* decoded tables; NULL where the payload is used in place */
+  float side_scale[2][FMF_MAX_COLUMNS];      /* of each side, in the order of the columns */
   float column_scale[FMF_MAX_COLUMNS];       /* 0 beyond the columns */
   _Alignas(64) float scale[FMF_MAX_COLUMNS]; /* the same as the kernels want them */
 } btfi_fmf_state;

@@ -111,6 +111,8 @@ static btf_status make_layout(loading *l, uint32_t columns) {
 
 static btf_status check_scale(loading *l, uint32_t i, const btfi_fmf_column *column) {
   l->scale[i] = btfi_fmf_column_scale(l->head.storage, column);
+  for (uint32_t side = 0; side < 2; side++)
+    l->state->side_scale[side][i] = btfi_fmf_side_scale(l->head.storage, column, side);
   if (isfinite(l->scale[i])) return BTF_OK;
   return l->host->fail(l->ctx, BTF_E_CORRUPT, "fmf: the scale of column %u is not finite", i);
 }
@@ -191,10 +193,10 @@ static btf_status load_packed(loading *l) {
                             .step = {l->head.step[0], l->head.step[1]},
                             .sigma = l->sigma};
   const btfi_fmf_factors factors = {
-      components,
-      {(uint64_t)views * lights * channels, (uint64_t)l->shape->width * l->shape->height},
-      btfi_fmf_packed_column,
-      &packed};
+      .components = components,
+      .length = {(uint64_t)views * lights * channels, (uint64_t)l->shape->width * l->shape->height},
+      .column = btfi_fmf_packed_column,
+      .user = &packed};
   uint64_t *start = l->host->alloc(l->ctx, 2 * (uint64_t)components, sizeof *start);
   btfi_fmf_plan *plan = l->host->alloc(l->ctx, 1, sizeof *plan);
   btf_status status = start != NULL && plan != NULL ? BTF_OK : BTF_E_NOMEM;

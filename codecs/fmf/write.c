@@ -10,19 +10,36 @@ static void copy_column(const void *user, uint32_t side, uint32_t k, float *dst)
   memcpy(dst, f->values[side] + k * f->factors.length[side], f->factors.length[side] * sizeof *dst);
 }
 
-btf_status btfi_fmf_writing_alloc(btfi_fmf_writing *f, uint32_t components) {
+void btfi_fmf_read_storage(btfi_fmf_writing *f, const btf_options *options) {
+  const btf_host *host = f->host;
+  const uint32_t all_levels = host->mip_count(f->width, f->height);
+  const double zstd = host->option(options, "zstd");
+  f->loss = host->option(options, "loss");
+  f->head.storage = (uint32_t)host->option(options, "storage");
+  f->head.coding = (uint32_t)host->option(options, "coding");
+  f->head.levels = (uint32_t)host->option(options, "levels");
+  if (f->head.levels == 0 || f->head.levels > all_levels) f->head.levels = all_levels;
+  if (zstd != 0.0) host->set_zstd_level(f->payload, (int32_t)zstd);
+}
+
+btf_status btfi_fmf_writing_open(btfi_fmf_writing *f, uint32_t components) {
   f->factors.components = components;
   f->factors.length[FMF_SIDE_U] = (uint64_t)f->views * f->lights * f->channels;
   f->factors.length[FMF_SIDE_V] = (uint64_t)f->width * f->height;
+  f->sigma = f->host->alloc(f->ctx, components, sizeof *f->sigma);
+  f->residual = f->host->alloc(f->ctx, components + 1ull, sizeof *f->residual);
+  return f->sigma != NULL && f->residual != NULL ? BTF_OK : BTF_E_NOMEM;
+}
+
+btf_status btfi_fmf_writing_alloc(btfi_fmf_writing *f, uint32_t components) {
+  BTF_TRY(btfi_fmf_writing_open(f, components));
   f->factors.column = copy_column;
   f->factors.user = f;
   for (uint32_t side = 0; side < 2; side++) {
     f->values[side] = f->host->alloc(f->ctx, f->factors.length[side], components * sizeof(float));
     if (f->values[side] == NULL) return BTF_E_NOMEM;
   }
-  f->sigma = f->host->alloc(f->ctx, components, sizeof *f->sigma);
-  f->residual = f->host->alloc(f->ctx, components + 1ull, sizeof *f->residual);
-  return f->sigma != NULL && f->residual != NULL ? BTF_OK : BTF_E_NOMEM;
+  return BTF_OK;
 }
 
 void btfi_fmf_writing_free(btfi_fmf_writing *f) {
@@ -106,6 +123,8 @@ btf_status btfi_fmf_choose_components(btfi_fmf_writing *f) {
 typedef struct step_trial {
   const btfi_fmf_writing *f;
   double step;
+  uint64_t longest;
+  float *values; /* of each thread */
   double *error; /* squared, of each side and component */
 } step_trial;
 
@@ -113,10 +132,10 @@ static void measure_step(void *job, uint32_t index, uint32_t thread) {
   const step_trial *t = job;
   const uint32_t side = index % 2, k = index / 2;
   const uint64_t length = t->f->factors.length[side];
-  const float *values = t->f->values[side] + k * length;
+  float *values = t->values + thread * t->longest;
   const double factor = (side == FMF_SIDE_U ? t->f->sigma[k] : 1.0) / t->step;
   double error = 0.0;
-  (void)thread;
+  t->f->factors.column(t->f->factors.user, side, k, values);
   for (uint64_t i = 0; i < length; i++) {
     const double value = values[i] * factor, left = value - rint(value);
     error += left * left;
@@ -125,12 +144,12 @@ static void measure_step(void *job, uint32_t index, uint32_t thread) {
 }
 
 /* Squared Frobenius error of rounding U S and V S to multiples of a step. */
-static btf_status error_of_step(const btfi_fmf_writing *f, double step, double *error, double *out) {
-  step_trial trial = {f, step, error};
+static btf_status error_of_step(step_trial *trial, double *out) {
+  const btfi_fmf_writing *f = trial->f;
   *out = 0.0;
-  BTF_TRY(f->host->parallel(f->ctx, 2 * f->factors.components, measure_step, &trial));
+  BTF_TRY(f->host->parallel(f->ctx, 2 * f->factors.components, measure_step, trial));
   for (uint32_t k = 0; k < f->factors.components; k++) {
-    const double u = error[2 * k], v = error[2 * k + 1];
+    const double u = trial->error[2 * k], v = trial->error[2 * k + 1];
     *out += u + v + u * v / (f->sigma[k] * f->sigma[k]);
   }
   return BTF_OK;
@@ -139,12 +158,9 @@ static btf_status error_of_step(const btfi_fmf_writing *f, double step, double *
 /* The smallest step whose integers are as exact as floats and still fit the file: what a nearly exact
  * factorisation of few texels would otherwise undercut. */
 static double smallest_step(const btfi_fmf_writing *f, uint32_t side) {
-  double largest = 0.0;
-  for (uint32_t k = 0; k < f->factors.components; k++) {
-    const float *values = f->values[side] + k * f->factors.length[side];
-    const double factor = side == FMF_SIDE_U ? f->sigma[k] : 1.0;
-    for (uint64_t i = 0; i < f->factors.length[side]; i++) largest = fmax(largest, fabs(values[i] * factor));
-  }
+  double largest = 0.0; /* the plan has the largest magnitude of each column, or a little more */
+  for (uint32_t k = 0; k < f->factors.components; k++)
+    largest = fmax(largest, f->plan.column[k].scale[side] * (side == FMF_SIDE_U ? f->sigma[k] : 1.0));
   return largest / FMF_LARGEST_INTEGER;
 }
 
@@ -156,18 +172,23 @@ static btf_status choose_step(btfi_fmf_writing *f) {
   const double values =
       ((double)f->factors.length[FMF_SIDE_U] + (double)f->factors.length[FMF_SIDE_V]) * f->factors.components;
   double step = sqrt(12.0 * budget / values), safe = 0.0, error = 0.0;
-  double *errors = f->host->alloc(f->ctx, 2 * (uint64_t)f->factors.components, sizeof *errors);
-  btf_status status = errors != NULL ? BTF_OK : BTF_E_NOMEM;
+  const uint64_t *length = f->factors.length;
+  step_trial trial = {.f = f, .longest = length[0] > length[1] ? length[0] : length[1]};
+  trial.error = f->host->alloc(f->ctx, 2 * (uint64_t)f->factors.components, sizeof *trial.error);
+  trial.values = f->host->alloc(f->ctx, trial.longest * f->host->thread_count(f->ctx), sizeof *trial.values);
+  btf_status status = trial.error != NULL && trial.values != NULL ? BTF_OK : BTF_E_NOMEM;
   if (budget == 0.0) step = 1.0;
   for (int turn = 0; turn < 12 && status == BTF_OK && budget > 0.0; turn++) {
-    status = error_of_step(f, step, errors, &error);
+    trial.step = step;
+    status = error_of_step(&trial, &error);
     if (error <= budget) {
       safe = step;
       if (error >= 0.97 * budget || turn >= 3) break;
     }
     step *= error > 0.0 ? fmin(2.0, 0.995 * sqrt(budget / error)) : 2.0;
   }
-  f->host->free(f->ctx, errors);
+  f->host->free(f->ctx, trial.error);
+  f->host->free(f->ctx, trial.values);
   if (safe > 0.0) step = safe;
   for (uint32_t side = 0; side < 2; side++) f->head.step[side] = fmax(step, smallest_step(f, side));
   return status;

@@ -3,6 +3,8 @@
 #ifndef BTF_FORMATS_BONN_BTF_H
 #define BTF_FORMATS_BONN_BTF_H
 
+#include <btf/btf_half.h>
+
 #include "source/source_file.h"
 
 typedef enum bonn_family { BONN_DFMF, BONN_FMF, BONN_PVF, BONN_BDI } bonn_family;
@@ -48,6 +50,7 @@ typedef struct bonn_file {
   bonn_factor *factors; /* DFMF: one a channel; FMF: one; PVF: one a view */
   uint32_t factor_count;
   bonn_fields fields;
+  uint32_t *components; /* of the products that the factors are for others (products.c) */
 } bonn_file;
 
 /* header.c: everything but the samples, checked. On failure bonn_file_close is still due. */
@@ -64,6 +67,24 @@ btf_status bonn_truncated(const bonn_file *bonn, const char *within);
  * values, to reflectance. */
 btf_status bonn_check_colour(const bonn_file *bonn);
 void bonn_to_reflectance(const bonn_file *bonn, float *const *planes, size_t n);
+/* Where that is linear, what a stored channel adds to a channel of reflectance, beside the mean colour;
+ * otherwise false. */
+bool bonn_colour_weight(const bonn_file *bonn, uint32_t stored, uint32_t channel, float *weight);
+bool bonn_colour_has_mean(const bonn_file *bonn);
+
+static inline float bonn_scalar(const unsigned char *p, uint32_t size) {
+  if (size == 2) return btf_half_to_float((uint16_t)(p[0] | p[1] << 8));
+  return size == 4 ? btf_get_f32(p) : (float)btf_get_f64(p);
+}
+
+/* products.c: the factorisations as others see them (btf_factors). prepare comes before the data set. */
+btf_status bonn_products_prepare(bonn_file *bonn);
+btf_status bonn_products(void *user, btf_factors *out);
+
+/* write.c */
+extern const btf_param_desc *const bonn_write_params[];
+btf_status bonn_write(const btf_host *host, btf_context *ctx, const char *path, const btf_dataset *ds,
+                      const btf_options *options, const btf_job *job);
 
 /* read.c: the data set's source. */
 btf_status bonn_read(void *user, const btf_block *block, void *dst, const btf_strides *strides);

@@ -53,10 +53,36 @@ static float undo_log(float s) {
   return expf(fminf(s, largest_exponent)) - offset;
 }
 
+/* What a stored channel adds to red, green and blue. */
+static const float of_yuv[3][3] = {{1, 1, 1}, {0, -0.39465f, 2.03211f}, {1.13983f, -0.5806f, 0}};
+static const float of_ycocg[3][3] = {{1, 1, 1}, {1, 0, -1}, {-1, 1, -1}};
+
 static void yuv_to_rgb(float y, float u, float v, float out[3]) {
-  out[0] = y + 1.13983f * v;
-  out[1] = y - 0.39465f * u - 0.5806f * v;
-  out[2] = y + 2.03211f * u;
+  for (int j = 0; j < 3; j++) out[j] = y + of_yuv[1][j] * u + of_yuv[2][j] * v;
+}
+
+bool bonn_colour_weight(const bonn_file *bonn, uint32_t stored, uint32_t channel, float *weight) {
+  switch (bonn->dynamic_range != 0 ? LOG_RGB : bonn->colour_model) {
+  case RGB:
+    *weight = stored == channel;
+    return true;
+  case YUV:
+    *weight = of_yuv[stored][channel];
+    return true;
+  case PCA:
+    *weight = bonn->colour_matrix[3 * stored + channel];
+    return true;
+  case YCOCG:
+    *weight = of_ycocg[stored][channel];
+    return true;
+  default:
+    return false;
+  }
+}
+
+bool bonn_colour_has_mean(const bonn_file *bonn) {
+  return bonn->colour_model == PCA &&
+         (bonn->colour_mean[0] != 0 || bonn->colour_mean[1] != 0 || bonn->colour_mean[2] != 0);
 }
 
 static float undo_signed_log(float s) {
@@ -75,9 +101,7 @@ static void undo_three(const bonn_file *bonn, const float s[3], float out[3]) {
                s[2] * bonn->colour_matrix[6 + j] + bonn->colour_mean[j];
     break;
   case YCOCG:
-    out[0] = s[0] + s[1] - s[2];
-    out[1] = s[0] + s[2];
-    out[2] = s[0] - s[1] - s[2];
+    for (int j = 0; j < 3; j++) out[j] = s[0] + of_ycocg[1][j] * s[1] + of_ycocg[2][j] * s[2];
     break;
   case LOG_Y_UV:
     yuv_to_rgb(y, s[1], s[2], out);

@@ -77,6 +77,7 @@ static btf_status make(const btf_host *host, bonn_file *bonn, const btf_options 
   const char *slash = strrchr(bonn->file.path, '/');
   btf_status status = (host->dirset_create)(ctx, bonn->lights, bonn->light_count, &lights);
   if (status == BTF_OK) status = (host->dirset_create)(ctx, bonn->views, bonn->view_count, &views);
+  if (status == BTF_OK) status = bonn_products_prepare(bonn);
   if (status == BTF_OK) {
     fill_notes(bonn, &notes);
     desc.lights = lights;
@@ -93,6 +94,7 @@ static btf_status make(const btf_host *host, bonn_file *bonn, const btf_options 
     desc.user = bonn;
     desc.release = release;
     desc.notes = notes.list;
+    desc.factors = bonn_products;
     status = (host->dataset_create)(ctx, &desc, out);
   } else {
     release(bonn);
@@ -125,4 +127,6 @@ const btf_format_vtbl btf_format_bonn_btf = {.struct_size = sizeof(btf_format_vt
                                              .version = "1",
                                              .params = params,
                                              .probe = probe,
-                                             .open = open_file};
+                                             .open = open_file,
+                                             .write_params = bonn_write_params,
+                                             .write = bonn_write};

@@ -232,6 +232,7 @@ static void forget(bonn_file *bonn) {
   (host->free)(ctx, bonn->views);
   (host->free)(ctx, bonn->lights);
   (host->free)(ctx, bonn->factors);
+  (host->free)(ctx, bonn->components);
   (host->free)(ctx, bonn->fields.chunks);
   (host->free)(ctx, bonn->fields.rank);
   *bonn = (bonn_file){.file = bonn->file};

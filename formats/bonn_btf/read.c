@@ -1,7 +1,5 @@
 /* SPDX-License-Identifier: MIT */
 /* read.c: samples of a block, decoded tile by tile: a product of factors for each channel, then colours. */
-#include <btf/btf_half.h>
-
 #include "bonn_btf/bonn_btf.h"
 
 enum { TILE_LIGHTS = 256, TILE_TEXELS = 1024 };
@@ -13,17 +11,12 @@ typedef struct tile {
   uint64_t texels[TILE_TEXELS]; /* numbers of the texels in the file */
 } tile;
 
-static float scalar(const unsigned char *p, uint32_t size) {
-  if (size == 2) return btf_half_to_float((uint16_t)(p[0] | p[1] << 8));
-  return size == 4 ? btf_get_f32(p) : (float)btf_get_f64(p);
-}
-
 static void fetch_row(const bonn_factor *factor, const bonn_side *side, uint64_t row, float *dst,
                       float *mean) {
   const unsigned char *p = side->rows + row * factor->k * factor->scalar_size;
   for (uint32_t i = 0; i < factor->k; i++)
-    dst[i] = scalar(p + (size_t)i * factor->scalar_size, factor->scalar_size);
-  *mean = side->mean != NULL ? scalar(side->mean + row * factor->scalar_size, factor->scalar_size) : 0;
+    dst[i] = bonn_scalar(p + (size_t)i * factor->scalar_size, factor->scalar_size);
+  *mean = side->mean != NULL ? bonn_scalar(side->mean + row * factor->scalar_size, factor->scalar_size) : 0;
 }
 
 /* c = a b^T; the library's product, or a plain one in a build without BLAS. */
@@ -75,7 +68,7 @@ static void copy_fields(const bonn_file *bonn, uint32_t view, uint32_t light0, u
     for (uint32_t l = 0; l < lights; l++)
       for (uint32_t c = 0; c < bonn->channels; c++)
         out[((size_t)c * lights + l) * texels + x] =
-            there ? scalar(p + 2 * ((size_t)l * bonn->channels + c), 2) : 0.0f;
+            there ? bonn_scalar(p + 2 * ((size_t)l * bonn->channels + c), 2) : 0.0f;
   }
 }
 

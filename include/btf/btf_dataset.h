@@ -91,6 +91,32 @@ typedef struct btf_strides {
 typedef btf_status (*btf_read_block_fn)(void *user, const btf_block *block, void *dst,
                                         const btf_strides *dst_strides);
 
+/* ---- Factors ---- */
+
+/** Sides of a product: directions with their channels, and texels. */
+enum { BTF_SIDE_ANGULAR = 0, BTF_SIDE_TEXEL = 1 };
+
+/** Samples as sums of products, as factorised measurements and models have them: of all views in one, or of each view
+ *  by itself. Of product p, with angular vectors A_k and texel vectors T_k, a sample is
+ *      sum over k < components[p] of  A_k[row] * T_k[y * width + x]
+ *  where row = (view * lights + light) * channels + channel if there is one product, and light * channels + channel in
+ *  that of the view otherwise. */
+typedef struct btf_factors {
+  size_t struct_size;
+  uint32_t products;          /**< 1, or as many as views */
+  uint32_t value_bytes;       /**< 2 if half floats hold the vectors without loss, up to a factor for each; otherwise 4 */
+  const uint32_t *components; /**< of each product, at least 1 */
+  /** Writes vector k of a side of a product, whole. It cannot fail; called from several threads at once. */
+  void (*column)(const void *user, uint32_t product, uint32_t side, uint32_t k, float *dst);
+  const void *user;
+} btf_factors;
+#define BTF_FACTORS_INIT                                                                                     \
+  { sizeof(btf_factors), 0, 0, NULL, NULL, NULL }
+
+/** Gives the factors a source is made of, which live as long as it does, or a status with the reason why they do not
+ *  stand for its samples exactly (btf_source_error). The struct comes initialised. */
+typedef btf_status (*btf_factors_fn)(void *user, btf_factors *out);
+
 /** Flags of a data set. */
 enum {
   BTF_DATASET_CONCURRENT_READ = 1u << 0, /**< `read` may be called from several threads at once */
@@ -121,12 +147,14 @@ typedef struct btf_dataset_desc {
   const btf_dirset *const *view_lights;
   /** NULL, or what is known of the data beside the above: key, text, key, text ..., NULL. */
   const char *const *notes;
+  /** NULL, or of a source: the factors that its samples are products of. */
+  btf_factors_fn factors;
 } btf_dataset_desc;
 #define BTF_DATASET_DESC_INIT                                                                                \
   {                                                                                                          \
     sizeof(btf_dataset_desc), NULL, NULL, 0, 0, 0, BTF_SAMPLE_F32, BTF_QUANTITY_BRDF, BTF_SCALE_RELATIVE,    \
         BTF_WRAP_PERIODIC, 0, NULL, NULL, NULL, NULL, NULL, 0.0, NULL, {0, 0, 0, 0, 0}, NULL, NULL, NULL,    \
-        NULL, NULL                                                                                           \
+        NULL, NULL, NULL                                                                                     \
   }
 
 /** Creates a data set from a description. What desc->user stands for is the library's from here on: `release` is
@@ -142,8 +170,8 @@ LIBBTF_API LIBBTF_NODISCARD btf_status btf_dataset_open(btf_context *ctx, const 
 LIBBTF_API btf_dataset *btf_dataset_retain(const btf_dataset *ds);
 LIBBTF_API void btf_dataset_release(btf_dataset *ds);
 
-/** Fills a description (the caller sets struct_size). Pointers live as long as the data set; `read`, `user` and
- *  `release` stay NULL, for they belong to this data set. `data` and `strides`
+/** Fills a description (the caller sets struct_size). Pointers live as long as the data set; `read`, `user`, `release`
+ *  and `factors` stay NULL, for they belong to this data set. `data` and `strides`
  *  are set when the samples are resident or mapped. Threads: const. */
 LIBBTF_API btf_status btf_dataset_describe(const btf_dataset *ds, btf_dataset_desc *io);
 
@@ -158,7 +186,11 @@ LIBBTF_API LIBBTF_NODISCARD btf_status btf_dataset_read(const btf_dataset *ds, c
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_dataset_read_abrdf(const btf_dataset *ds, uint32_t x, uint32_t y,
                                                               uint32_t texels, float *dst);
 
-/** Sets this thread's error message from inside a source's `read` and returns `code`. Threads: free. */
+/** The factors that a data set is made of; the caller sets struct_size. They live as long as the data set.
+ *  BTF_E_UNSUPPORTED, with the reason, where it has none or they do not stand for its samples. Threads: const. */
+LIBBTF_API LIBBTF_NODISCARD btf_status btf_dataset_factors(const btf_dataset *ds, btf_factors *io);
+
+/** Sets this thread's error message from inside a source's `read` or `factors` and returns `code`. Threads: free. */
 LIBBTF_API btf_status btf_source_error(btf_status code, const char *format, ...) LIBBTF_PRINTF(2, 3);
 
 /* ---- Writing a data-set folder ---- */

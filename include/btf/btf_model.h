@@ -72,6 +72,20 @@ LIBBTF_API LIBBTF_NODISCARD btf_status btf_model_fit(const btf_dataset *ds, cons
                                                      const btf_options *options, const btf_job *job,
                                                      btf_model **out);
 
+/** Makes a model of a data set that is factorised already, without reading a sample or compressing anew: the codec keeps
+ *  the factors as they are, as precisely as its options for storage say. Unless options say otherwise, that is without
+ *  loss. Options of a fit are BTF_E_INVALID_ARG. Errors: BTF_E_UNSUPPORTED (the data set has no factors, or the codec
+ *  cannot hold such), BTF_E_CORRUPT (a value is not finite), BTF_E_LIMIT, BTF_E_CANCELLED, BTF_E_NUMERIC. Threads: as
+ *  btf_model_fit. */
+LIBBTF_API LIBBTF_NODISCARD btf_status btf_model_from_factors(const btf_dataset *ds, const btf_codec *codec,
+                                                              const btf_options *options, const btf_job *job,
+                                                              btf_model **out);
+
+/** A data set of what a model decodes to at its finest level, as a source of float samples: for writing it in a format
+ *  or compressing it again. It has factors if the codec gives them. Of a model of uncompressed data it is that data.
+ *  Errors: BTF_E_NOMEM. Threads: const. */
+LIBBTF_API LIBBTF_NODISCARD btf_status btf_dataset_from_model(const btf_model *model, btf_dataset **out);
+
 /** Makes a model that evaluates a data set as it stands (codec id "raw"): the reference for every codec.
  *  Resident and mapped data are used in place; a streamed source is read into memory, within the limits.
  *  Float samples are looked at once, all of them, which costs one reading of the data: BTF_E_CORRUPT names the

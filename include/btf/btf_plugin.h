@@ -12,6 +12,7 @@
 
 #include "btf_format.h"
 #include "btf_gpu.h"
+#include "btf_io.h"
 #include "btf_model.h"
 
 #ifdef __cplusplus
@@ -266,6 +267,11 @@ typedef struct btf_host {
   btf_status (*gpu_directions)(btf_gpu_builder *b, const char *name, const btf_dirset *set);
   btf_status (*gpu_source)(btf_gpu_builder *b, const char *format, ...) LIBBTF_PRINTF(2, 3);
   void (*gpu_cost)(btf_gpu_builder *b, const btf_gpu_cost *cost);
+
+  /* For formats that write, as in btf_dataset.h and btf_io.h. io_file with BTF_IO_WRITE gives a file beside its place,
+   * which close(user, 0) renames. Its write and close set errno. */
+  btf_status (*dataset_factors)(const btf_dataset *ds, btf_factors *io);
+  btf_status (*io_file)(btf_context *ctx, const char *path, uint32_t mode, btf_io *io);
 } btf_host;
 
 /** A codec. Copied at registration; optional slots may be NULL. Grows at its end only. `state` is what load made.
@@ -303,6 +309,14 @@ typedef struct btf_codec_vtbl {
   const btf_gpu_layout_desc *const *gpu_layouts;
   btf_status (*gpu)(const btf_host *host, btf_context *ctx, const void *state, const btf_model_shape *shape,
                     uint32_t layout, const btf_gpu_target *target, btf_gpu_builder *out);
+  /** Optional: writes the payload of given factors, kept as they are and unless the options say otherwise without loss.
+   *  Options that only a fit looks at are refused when they are set. BTF_E_UNSUPPORTED, with the reason, for factors of
+   *  a kind the codec does not hold; the library has checked them otherwise, but for values that are not finite. */
+  btf_status (*from_factors)(const btf_host *host, btf_context *ctx, const btf_model_shape *shape,
+                             const btf_factors *factors, const btf_options *options, const btf_job *job,
+                             btf_chunk_writer *payload);
+  /** Optional: the factors of a state's finest level, which live as long as it does. `out` comes initialised. */
+  btf_status (*factors)(const void *state, btf_factors *out);
 } btf_codec_vtbl;
 
 /** What a format sees of a file or folder before it says whether it is its own. FROZEN. */
@@ -328,6 +342,12 @@ typedef struct btf_format_vtbl {
    *  the path. */
   btf_status (*open)(const btf_host *host, btf_context *ctx, const char *path, const btf_options *options,
                      btf_dataset **out);
+  const btf_param_desc *const *write_params; /**< for `write`; may be NULL */
+  /** Optional: writes a data set, block by block within job->max_working_set, or the factors it has. What it writes
+   *  appears complete or not at all, and replaces nothing but a file (or folder) of its kind. Messages begin with the
+   *  path; reports and cancelling by host->progress. */
+  btf_status (*write)(const btf_host *host, btf_context *ctx, const char *path, const btf_dataset *ds,
+                      const btf_options *options, const btf_job *job);
 } btf_format_vtbl;
 
 /** What a module exports. Names beginning with "libbtf " are for this project's own modules, whose codecs may have ids

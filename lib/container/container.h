@@ -27,6 +27,7 @@ typedef struct btfi_model_header {
   btf_dirset *lights, *views;
   char **channel_names;
   char *color_space, *name, *source, *license;
+  char **notes; /* NULL, or key, text, ..., NULL; metadata of the file */
   double texels_per_mm;
   uint64_t dataset_bytes; /* raw size of the data it was made from, at its sample type; 0 = unknown */
 } btfi_model_header;

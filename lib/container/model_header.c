@@ -16,6 +16,8 @@ void btfi_model_header_free(btf_context *ctx, btfi_model_header *h) {
   if (h->channel_names != NULL)
     for (uint32_t c = 0; c < h->channels; c++) btfi_free(ctx, h->channel_names[c]);
   btfi_free(ctx, h->channel_names);
+  for (uint32_t i = 0; h->notes != NULL && h->notes[i] != NULL; i++) btfi_free(ctx, h->notes[i]);
+  btfi_free(ctx, h->notes);
   btf_dirset_release(h->lights);
   btf_dirset_release(h->views);
   memset(h, 0, sizeof *h);
@@ -41,6 +43,23 @@ static uint64_t dataset_bytes(const btf_dataset_desc *desc) {
   return fits ? n : 0;
 }
 
+btf_status btfi_model_header_take_notes(btf_context *ctx, const char *const *notes, btfi_model_header *h) {
+  uint32_t count = 0;
+  while (notes != NULL && notes[count] != NULL) count++;
+  if (count == 0) return BTF_OK;
+  h->notes = btfi_calloc(ctx, (uint64_t)count + 1, sizeof *h->notes);
+  if (h->notes == NULL) return btfi_alloc_status();
+  for (uint32_t i = 0, kept = 0; i + 1 < count; i += 2) {
+    const size_t key = strlen(notes[i]), text = strlen(notes[i + 1]);
+    if (key < 1 || key > 255 || text > BTFI_TEXT_LIMIT || !btfi_text_valid(notes[i], key) ||
+        !btfi_text_valid(notes[i + 1], text))
+      continue; /* no container could hold it, and the model does without */
+    for (uint32_t k = i; k < i + 2; k++)
+      if ((h->notes[kept++] = btfi_strdup(ctx, notes[k])) == NULL) return btfi_alloc_status();
+  }
+  return BTF_OK;
+}
+
 static btf_status fill(btf_context *ctx, const btf_dataset_desc *desc, const char *codec_id,
                        btfi_model_header *h) {
   BTFI_TRY(copy_text(ctx, "codec id", codec_id, &h->codec_id));
@@ -53,7 +72,7 @@ static btf_status fill(btf_context *ctx, const btf_dataset_desc *desc, const cha
   if (h->channel_names == NULL) return btfi_alloc_status();
   for (uint32_t c = 0; c < desc->channels; c++)
     BTFI_TRY(copy_text(ctx, "channel name", desc->channel_names[c], &h->channel_names[c]));
-  return BTF_OK;
+  return btfi_model_header_take_notes(ctx, desc->notes, h);
 }
 
 btf_status btfi_model_header_from_dataset(btf_context *ctx, const btf_dataset *ds, const char *codec_id,

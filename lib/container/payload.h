@@ -60,6 +60,8 @@ void btfi_model_header_encode(const btfi_model_header *h, const btfi_model_links
 btf_status btfi_model_header_decode(btf_context *ctx, const char *name, const void *data, uint64_t size,
                                     btf_dirset *const *sets, uint32_t set_count, btfi_model_header *out,
                                     btfi_model_links *links);
+/* Copies texts that a data set has beside those of the header. */
+btf_status btfi_model_header_take_notes(btf_context *ctx, const char *const *notes, btfi_model_header *h);
 void btfi_model_header_free(btf_context *ctx, btfi_model_header *h);
 /* Bytes of a MODL chunk at which the numbers of the light and the view set stand. */
 enum { BTFI_MODEL_LIGHT_SET = 28, BTFI_MODEL_VIEW_SET = 32 };

@@ -108,6 +108,20 @@ static btf_status hand_out_payload(btf_file *f) {
   return BTF_OK;
 }
 
+/* The file's texts but for the library's own, as many as a data set may have. */
+static btf_status take_notes(const btf_file *f, btfi_model_header *h) {
+  enum { MOST = 256 };
+  const char *notes[2 * MOST + 1];
+  uint32_t count = 0;
+  for (uint32_t i = 0; i < f->metadata.count && count < 2 * MOST; i++) {
+    if (strncmp(f->metadata.keys[i], "btf.", 4) == 0) continue;
+    notes[count++] = f->metadata.keys[i];
+    notes[count++] = f->metadata.values[i];
+  }
+  notes[count] = NULL;
+  return btfi_model_header_take_notes(f->ctx, notes, h);
+}
+
 static btf_status read_model(btf_file *f, const btfi_entry *e, btfi_payload *p) {
   uint32_t first;
   btfi_model_links links = {0, 0, 0};
@@ -120,6 +134,7 @@ static btf_status read_model(btf_file *f, const btfi_entry *e, btfi_payload *p) 
   BTFI_TRY(read_small(f, e, BTFI_MODEL_CHUNK_LIMIT, &data));
   status = btfi_model_header_decode(f->ctx, where, data, e->raw, f->sets, f->set_count, &p->header, &links);
   btfi_free(f->ctx, data);
+  if (status == BTF_OK) status = take_notes(f, &p->header);
   BTFI_TRY(status);
   if (count != links.payload_chunks)
     return btfi_fail(f->ctx, BTF_E_CORRUPT, "%s: %u payload chunks, the header of the model says %u", where,

@@ -135,6 +135,14 @@ static btf_status write_chunks(btf_writer *w, btfi_payload *p, const btf_job *jo
   return status;
 }
 
+/* What the caller set himself, or an earlier model brought, stays. */
+static btf_status write_notes(btf_writer *w, const btfi_model_header *h) {
+  for (uint32_t i = 0; h->notes != NULL && h->notes[i] != NULL; i += 2)
+    if (strncmp(h->notes[i], "btf.", 4) != 0 && btfi_metadata_find(&w->metadata, h->notes[i]) == NULL)
+      BTFI_TRY(btfi_metadata_set(&w->metadata, h->notes[i], h->notes[i + 1]));
+  return BTF_OK;
+}
+
 btf_status btfi_writer_payload(btf_writer *w, btfi_payload *p, const btf_job *job) {
   btf_status status;
   if (w->status != BTF_OK)
@@ -142,6 +150,7 @@ btf_status btfi_writer_payload(btf_writer *w, btfi_payload *p, const btf_job *jo
                      w->name);
   status = write_header(w, p);
   if (status == BTF_OK) status = write_chunks(w, p, job);
+  if (status == BTF_OK) status = write_notes(w, btfi_payload_header(p));
   if (status != BTF_OK) return btfi_writer_fail(w, status);
   w->model_count++;
   return BTF_OK;

@@ -213,6 +213,9 @@ static btf_status check_source(btf_context *ctx, const char *label, btf_dataset_
         return btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: the light directions of view %u are missing", label, v);
       most_lights = BTFI_MAX(most_lights, btf_dirset_count(d->view_lights[v]));
     }
+  if (d->factors && (d->data || d->view_lights))
+    return btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: factors are for a source whose views have the same lights",
+                     label);
   if (!d->data) return BTF_OK;
   if (memcmp(&d->strides, &none, sizeof none) == 0) {
     if (d->view_lights)
@@ -321,6 +324,25 @@ btf_status btf_dataset_describe(const btf_dataset *ds, btf_dataset_desc *io) {
   shown.read = NULL;
   shown.release = NULL;
   shown.user = NULL;
+  shown.factors = NULL;
   return btfi_copy_out(ds->ctx, "btf_dataset_desc", io, BTFI_SIZE_TO(btf_dataset_desc, view_lights), &shown,
                        sizeof shown);
+}
+
+btf_status btf_dataset_factors(const btf_dataset *ds, btf_factors *io) {
+  btf_factors factors = BTF_FACTORS_INIT;
+  if (!ds) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_dataset_factors: the data set must not be NULL");
+  if (!ds->desc.factors)
+    return btfi_fail(ds->ctx, BTF_E_UNSUPPORTED, "%s: holds samples and no factors", ds->label);
+  BTFI_TRY(ds->desc.factors(ds->desc.user, &factors));
+  const uint32_t views = btf_dirset_count(ds->desc.views);
+  if ((factors.products != 1 && factors.products != views) || !factors.components || !factors.column ||
+      (factors.value_bytes != 2 && factors.value_bytes != 4))
+    return btfi_fail(ds->ctx, BTF_E_INVALID_ARG,
+                     "%s: %u products of values of %u bytes; expected 1 or %u, of 2 or 4", ds->label,
+                     factors.products, factors.value_bytes, views);
+  for (uint32_t p = 0; p < factors.products; ++p)
+    if (factors.components[p] == 0)
+      return btfi_fail(ds->ctx, BTF_E_INVALID_ARG, "%s: product %u has no components", ds->label, p);
+  return btfi_copy_out(ds->ctx, "btf_factors", io, BTFI_SIZE_TO(btf_factors, user), &factors, sizeof factors);
 }

@@ -64,6 +64,7 @@ static btf_status make_mapped(btf_context *ctx, const char *path, const char *sa
   desc.source = m->source;
   desc.license = m->license;
   desc.texels_per_mm = m->texels_per_mm;
+  desc.notes = m->notes;
   desc.data = mapping.data;
   desc.strides = btfi_dense_strides(&desc, m->order, (ptrdiff_t)btfi_sample_size(m->sample_type));
   return btfi_dataset_make(ctx, &desc, path, &mapping, out);

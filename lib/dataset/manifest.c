@@ -187,6 +187,18 @@ static btf_status read_samples_size(const manifest_reader *r, btfi_manifest *m) 
   return BTF_OK;
 }
 
+/* What this format gives no meaning to; how the folder was made is no property of its data. */
+static void read_notes(const manifest_reader *r, btfi_manifest *m) {
+  uint32_t count = 0;
+  for (uint64_t i = 0; i < btfi_json_length(r->root) && count < 2 * btfi_manifest_most_notes; ++i) {
+    const btfi_json *member = btfi_json_at(r->root, i);
+    const char *key = btfi_json_key(member), *text = btfi_json_string(member);
+    if (!key || !text || btfi_manifest_key_is_taken(key) || strcmp(key, "command") == 0) continue;
+    m->notes[count++] = key;
+    m->notes[count++] = text;
+  }
+}
+
 static btf_status read_keys(const manifest_reader *r, btfi_manifest *m) {
   static const choice types[] = {{"u8", BTF_SAMPLE_U8},
                                  {"u16", BTF_SAMPLE_U16},
@@ -220,6 +232,7 @@ static btf_status read_keys(const manifest_reader *r, btfi_manifest *m) {
   if (!is_plain_file_name(m->samples)) return bad_key(r, "samples", "the name of a file beside the manifest");
   BTFI_TRY(read_directions(r, "views", &m->views));
   BTFI_TRY(read_directions(r, "lights", &m->lights));
+  read_notes(r, m);
   return read_samples_size(r, m);
 }
 

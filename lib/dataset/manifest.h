@@ -10,14 +10,16 @@
 #define BTFI_MANIFEST_FILE "manifest.json"
 enum { btfi_manifest_version = 1, btfi_manifest_most_bytes = 256 << 20 };
 
-typedef struct btfi_manifest {
+enum { btfi_manifest_most_notes = 256 };
 
+typedef struct btfi_manifest {
   btfi_json *document; /* owner of all texts here */
   const char *channel_names[64];
   uint32_t width, height, channels, sample_type, order, quantity, scale, wrap;
   btf_dirset *views, *lights;
-  const char *name, *source, *license, *color_space; /* NULL = absent */
-  const char *samples;                               /* file name */
+  const char *name, *source, *license, *color_space;   /* NULL = absent */
+  const char *samples;                                 /* file name */
+  const char *notes[2 * btfi_manifest_most_notes + 1]; /* texts of other keys: key, text, ..., NULL */
   double texels_per_mm;
   uint64_t bytes; /* of the samples */
 } btfi_manifest;

@@ -77,23 +77,29 @@ btf_status btfi_model_from_payload(const btf_codec *codec, btfi_payload *payload
   return BTF_OK;
 }
 
-static btf_status check_fit(const btf_dataset *ds, const btf_codec *codec, const btf_options *options) {
+/* `cannot` is NULL where the codec has the function that is wanted. */
+static btf_status check_making(const btf_dataset *ds, const btf_codec *codec, const btf_options *options,
+                               const char *cannot) {
   const btf_codec_vtbl *v = btfi_codec_vtbl(codec);
   const btf_dataset_desc *desc = btfi_dataset_desc(ds);
   btf_context *ctx = btfi_codec_context(codec);
   if (options != NULL && !btfi_options_are_of(options, codec))
     return btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: the options are those of %s", v->id,
                      btfi_options_owner(options));
-  if (v->fit == NULL)
-    return btfi_fail(ctx, BTF_E_UNSUPPORTED, "%s: this codec only reads; it cannot compress", v->id);
+  if (cannot != NULL) return btfi_fail(ctx, BTF_E_UNSUPPORTED, "%s: %s", v->id, cannot);
   if ((v->caps & BTF_CAP_RGB_ONLY) != 0 && desc->channels != 3)
     return btfi_fail(ctx, BTF_E_UNSUPPORTED, "%s: takes data of 3 channels; this data set has %u", v->id,
                      (unsigned)desc->channels);
   return BTF_OK;
 }
 
-static btf_status fit_payload(const btf_dataset *ds, const btf_codec *codec, const btf_options *options,
-                              const btf_job *job, btfi_payload *payload) {
+/* Fills the payload by a fit, or with the factors where there are any. */
+static btf_status make_payload(const btf_dataset *ds, const btf_codec *codec, const btf_factors *factors,
+                               const btf_options *options, const btf_job *job, btfi_payload *payload) {
+  const btf_dataset_desc *desc = btfi_dataset_desc(ds);
+  const btf_model_shape shape = {desc->lights,   desc->views,    desc->width, desc->height,
+                                 desc->channels, desc->quantity, desc->wrap,  0};
+  btf_chunk_writer *writer = btfi_payload_writer(payload);
   btf_options *defaults = NULL;
   btfi_job running;
   btf_status status;
@@ -102,7 +108,9 @@ static btf_status fit_payload(const btf_dataset *ds, const btf_codec *codec, con
     BTFI_TRY(btf_options_create(codec, &defaults));
     options = defaults;
   }
-  status = allocation_status(btfi_codec_fit(codec, ds, options, &running.desc, btfi_payload_writer(payload)));
+  status = allocation_status(
+      factors == NULL ? btfi_codec_fit(codec, ds, options, &running.desc, writer)
+                      : btfi_codec_from_factors(codec, &shape, factors, options, &running.desc, writer));
   btf_options_release(defaults);
   btfi_payload_seal(payload);
   return status;
@@ -119,15 +127,38 @@ btf_status btf_model_fit(const btf_dataset *ds, const btf_codec *codec, const bt
   if (ds == NULL || codec == NULL || out == NULL)
     return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_model_fit: data set, codec and out must not be NULL");
   ctx = btfi_codec_context(codec);
-  BTFI_TRY(check_fit(ds, codec, options));
+  BTFI_TRY(
+      check_making(ds, codec, options,
+                   btfi_codec_vtbl(codec)->fit == NULL ? "this codec only reads; it cannot compress" : NULL));
   if (job != NULL && job->struct_size >= BTFI_SIZE_TO(btf_job, max_working_set))
     budget = job->max_working_set;
   BTFI_TRY(btfi_payload_create(ctx, ds, btf_codec_id(codec), btfi_codec_vtbl(codec)->format_write, &payload));
   /* A small budget of the caller's holds for reading the data as well, and for this fit alone. */
   status = btfi_dataset_within(ds, budget < UINT64_C(1) << 30 ? budget : 0, &reader);
-  if (status == BTF_OK) status = fit_payload(reader, codec, options, job, payload);
+  if (status == BTF_OK) status = make_payload(reader, codec, NULL, options, job, payload);
   btf_dataset_release(reader);
   /* Loading what a file would hold makes the fresh model and the stored one the same. */
+  if (status == BTF_OK) status = btfi_model_from_payload(codec, payload, out);
+  btfi_payload_release(payload);
+  return status;
+}
+
+btf_status btf_model_from_factors(const btf_dataset *ds, const btf_codec *codec, const btf_options *options,
+                                  const btf_job *job, btf_model **out) {
+  btf_factors factors = BTF_FACTORS_INIT;
+  btfi_payload *payload;
+  btf_status status;
+  if (out != NULL) *out = NULL;
+  if (ds == NULL || codec == NULL || out == NULL)
+    return btfi_fail(NULL, BTF_E_INVALID_ARG,
+                     "btf_model_from_factors: data set, codec and out must not be NULL");
+  BTFI_TRY(check_making(ds, codec, options,
+                        btfi_codec_vtbl(codec)->from_factors == NULL ? "this codec cannot hold given factors"
+                                                                     : NULL));
+  BTFI_TRY(btf_dataset_factors(ds, &factors));
+  BTFI_TRY(btfi_payload_create(btfi_codec_context(codec), ds, btf_codec_id(codec),
+                               btfi_codec_vtbl(codec)->format_write, &payload));
+  status = make_payload(ds, codec, &factors, options, job, payload);
   if (status == BTF_OK) status = btfi_model_from_payload(codec, payload, out);
   btfi_payload_release(payload);
   return status;

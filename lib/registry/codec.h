@@ -24,7 +24,7 @@ struct btf_codec {
 struct btf_format {
   btf_context *ctx;
   btf_format_vtbl vtbl;
-  btfi_params params;
+  btfi_params params, write_params;
 };
 
 typedef struct btfi_registry {

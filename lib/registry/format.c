@@ -12,6 +12,8 @@ static btf_status check(btf_context *ctx, const btf_format_vtbl *v, bool builtin
   if (v->probe == NULL || v->open == NULL)
     return btfi_fail(ctx, BTF_E_PLUGIN, "%s: the required function `%s` is missing", v->id,
                      v->probe == NULL ? "probe" : "open");
+  if (v->write == NULL && v->write_params != NULL)
+    return btfi_fail(ctx, BTF_E_PLUGIN, "%s: has parameters of writing without the function `write`", v->id);
   return BTF_OK;
 }
 
@@ -25,6 +27,8 @@ btf_status btfi_format_create(btf_context *ctx, const btf_format_vtbl *user, boo
   if (status == BTF_OK) status = check(ctx, &format->vtbl, builtin);
   format->params = (btfi_params){.ctx = ctx, .owner = format->vtbl.id};
   if (status == BTF_OK) status = btfi_params_copy(&format->params, format->vtbl.params);
+  format->write_params = (btfi_params){.ctx = ctx, .owner = format->vtbl.id};
+  if (status == BTF_OK) status = btfi_params_copy(&format->write_params, format->vtbl.write_params);
   if (status != BTF_OK) {
     btfi_format_destroy(format);
     return status;
@@ -37,6 +41,7 @@ btf_status btfi_format_create(btf_context *ctx, const btf_format_vtbl *user, boo
 void btfi_format_destroy(btf_format *format) {
   if (format == NULL) return;
   btfi_params_free(&format->params);
+  btfi_params_free(&format->write_params);
   btfi_free(format->ctx, format);
 }
 

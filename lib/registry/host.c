@@ -131,6 +131,8 @@ static const btf_host host = {
     .gpu_directions = btfi_gpu_directions,
     .gpu_source = btfi_gpu_source,
     .gpu_cost = btfi_gpu_cost,
+    .dataset_factors = btf_dataset_factors,
+    .io_file = btf_io_file,
 };
 
 const btf_host *btfi_host(void) {

@@ -266,6 +266,17 @@ btf_status btfi_codec_fit(const btf_codec *codec, const btf_dataset *ds, const b
   return wrong_name(&codec->params, &wrong, status);
 }
 
+btf_status btfi_codec_from_factors(const btf_codec *codec, const btf_model_shape *shape,
+                                   const btf_factors *factors, const btf_options *options, const btf_job *job,
+                                   btf_chunk_writer *payload) {
+  btf_options asked = *options;
+  btfi_wrong_name wrong = {.taken = ATOMIC_FLAG_INIT};
+  asked.wrong = &wrong;
+  const btf_status status =
+      codec->vtbl.from_factors(btfi_host(), codec->ctx, shape, factors, &asked, job, payload);
+  return wrong_name(&codec->params, &wrong, status);
+}
+
 btf_status btfi_format_open_with(const btf_format *format, const char *path, const btf_options *options,
                                  btf_dataset **out) {
   btf_options asked = *options;
@@ -277,6 +288,15 @@ btf_status btfi_format_open_with(const btf_format *format, const char *path, con
   btf_dataset_release(*out);
   *out = NULL;
   return status;
+}
+
+btf_status btfi_format_write_with(const btf_format *format, const char *path, const btf_dataset *ds,
+                                  const btf_options *options, const btf_job *job) {
+  btf_options asked = *options;
+  btfi_wrong_name wrong = {.taken = ATOMIC_FLAG_INIT};
+  asked.wrong = &wrong;
+  const btf_status status = format->vtbl.write(btfi_host(), format->ctx, path, ds, &asked, job);
+  return wrong_name(&format->write_params, &wrong, status);
 }
 
 double btfi_option(const btf_options *options, const char *name) {

@@ -18,9 +18,18 @@ const char *btfi_options_owner(const btf_options *options);
 btf_status btfi_codec_fit(const btf_codec *codec, const btf_dataset *ds, const btf_options *options,
                           const btf_job *job, btf_chunk_writer *payload);
 
+/* Runs the codec's from_factors, likewise. */
+btf_status btfi_codec_from_factors(const btf_codec *codec, const btf_model_shape *shape,
+                                   const btf_factors *factors, const btf_options *options, const btf_job *job,
+                                   btf_chunk_writer *payload);
+
 /* Runs the format's open, likewise. */
 btf_status btfi_format_open_with(const btf_format *format, const char *path, const btf_options *options,
                                  btf_dataset **out);
+
+/* Runs the format's write, likewise. */
+btf_status btfi_format_write_with(const btf_format *format, const char *path, const btf_dataset *ds,
+                                  const btf_options *options, const btf_job *job);
 
 /* Host table entries: values by parameter name; 0 or NULL for a name the codec does not have. */
 double btfi_option(const btf_options *options, const char *name);

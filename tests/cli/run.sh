@@ -95,7 +95,7 @@ leftovers() {
   ls -A "$folder" | grep -vxF -e "${1:-//}" -e "${2:-//}" || true
 }
 
-for part in basics values encode export measured check plugins pictures robust hostile; do
+for part in basics values encode export measured convert check plugins pictures robust hostile; do
   # shellcheck source=/dev/null
   . "$here/$part.sh"
 done

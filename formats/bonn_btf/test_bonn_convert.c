@@ -1,0 +1,231 @@
+/* SPDX-License-Identifier: MIT */
+/* Factored files as models, against brute force from the description of the format: every family and colour
+ * model that converts, and the reasons of those that do not. */
+#include "bonn_case.h"
+#include "../source/test_format.h"
+#include "codec_suite.h"
+
+/* Factors are multiples of 1/64 of magnitude up to 1, of which at most 4 a stored channel, or 100 without a
+ * colour model, are summed: products are multiples of 2^-12 below 2^12, which floats add up exactly. Colour
+ * weights of up to 2.04 are rounded once, and so are 12 products with them and their sums of at most 12.3:
+ * 25 * 2^-24 * 12.3 = 1.8e-5 is never reached unless all round the same way where all are largest; half of it
+ * is for every sample. */
+static const double exact = 1e-5;
+
+typedef struct conversion {
+  bonn_case c;
+  btf_context *ctx;
+  test_memory memory;
+  const char *path;
+  btf_dataset *ds;
+} conversion;
+
+static void begin(conversion *t, const bonn_case *c) {
+  t->c = *c;
+  t->ctx = format_context(&t->memory);
+  t->path = test_path("factored.dat");
+  bonn_bytes bytes = bonn_case_write(c);
+  test_write_bytes(t->path, bytes.data, bytes.size);
+  free(bytes.data);
+  assert_ok(btf_format_open(t->ctx, t->path, NULL, NULL, &t->ds));
+}
+
+static void end(conversion *t) {
+  btf_dataset_release(t->ds);
+  test_context_done(t->ctx, &t->memory);
+}
+
+static btf_status convert(const conversion *t, const char *codec, const char *settings, const btf_job *job,
+                          btf_model **out) {
+  btf_options *options;
+  assert_ok(suite_options(t->ctx, codec, settings, &options));
+  const btf_status status = btf_model_from_factors(t->ds, btf_codec_find(t->ctx, codec), options, job, out);
+  btf_options_release(options);
+  return status;
+}
+
+/* Whether a description says that reflectance is linear in what is stored. */
+static bool converts(const bonn_case *c) {
+  const bool linear =
+      c->colour_model == 0 || c->colour_model == 1 || c->colour_model == 3 || c->colour_model == 4;
+  return c->family != BONN_CASE_BDI && linear && c->dynamic_range == 0;
+}
+
+static uint32_t below(uint64_t *seed, uint32_t n) {
+  *seed = *seed * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+  return (uint32_t)((*seed >> 33) % n);
+}
+
+static void compare(const conversion *t, const btf_model *model, double tolerance) {
+  const bonn_case *c = &t->c;
+  uint64_t seed = 1;
+  btf_model_info info = BTF_MODEL_INFO_INIT;
+  assert_ok(btf_model_describe(model, &info));
+  assert_int_equal(info.quantity, c->cosine ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF);
+  for (int i = 0; i < 10000; i++) {
+    const uint32_t view = below(&seed, c->views), light = below(&seed, c->lights);
+    const uint32_t x = below(&seed, c->width), y = below(&seed, c->height);
+    const float *l = btf_dirset_directions(info.lights) + 3 * light,
+                *v = btf_dirset_directions(info.views) + 3 * view;
+    const btf_query query = {{l[0], l[1], l[2]},
+                             {v[0], v[1], v[2]},
+                             {((float)x + 0.5f) / (float)c->width, ((float)y + 0.5f) / (float)c->height},
+                             0,
+                             BTF_QUERY_NEAREST};
+    float texel[64], value[64];
+    assert_int_equal(btf_model_texel(model, 0, x, y, light, view, texel), 0);
+    btf_model_eval_as(model, &query, BTF_VALUE_STORED, value);
+    for (uint32_t k = 0; k < c->channels; k++) {
+      const double expected = bonn_case_sample(c, view, light, x, y, k);
+      const double bound = tolerance * fmax(1, fabs(expected));
+      if (!(fabs(texel[k] - expected) <= bound) || !(fabs(value[k] - expected) <= bound))
+        fail_msg("%s: view %u light %u texel %u %u channel %u: %.9g and %.9g instead of %.9g", c->label, view,
+                 light, x, y, k, (double)texel[k], (double)value[k], expected);
+    }
+  }
+}
+
+/* Between the samples, the model interpolates what the file's samples are as a model of their own. */
+static void compare_between(const conversion *t, const btf_model *model, double tolerance) {
+  btf_model *raw;
+  uint64_t seed = 2;
+  assert_ok(btf_model_from_dataset(t->ds, NULL, &raw));
+  for (int i = 0; i < 1000; i++) {
+    btf_query query = {.lod = 0};
+    float direction[2][3], expected[64], got[64];
+    for (int k = 0; k < 2; k++) {
+      const double z = 0.2 + 0.8 * below(&seed, 1000) / 1000.0, phi = 6.2831853 * below(&seed, 1000) / 1000.0;
+      direction[k][0] = (float)(sqrt(1 - z * z) * cos(phi));
+      direction[k][1] = (float)(sqrt(1 - z * z) * sin(phi));
+      direction[k][2] = (float)z;
+    }
+    memcpy(query.light, direction[0], sizeof query.light);
+    memcpy(query.view, direction[1], sizeof query.view);
+    query.uv[0] = (float)below(&seed, 1000) / 1000;
+    query.uv[1] = (float)below(&seed, 1000) / 1000;
+    btf_model_eval_as(raw, &query, BTF_VALUE_STORED, expected);
+    btf_model_eval_as(model, &query, BTF_VALUE_STORED, got);
+    for (uint32_t k = 0; k < t->c.channels; k++)
+      assert_near(got[k], expected[k], tolerance * fmax(1, fabs((double)expected[k])));
+  }
+  btf_model_release(raw);
+}
+
+static uint64_t resident(const btf_model *model) {
+  btf_model_info info = BTF_MODEL_INFO_INIT;
+  assert_ok(btf_model_describe(model, &info));
+  return info.resident_bytes;
+}
+
+static void test_every_case(void **state) {
+  (void)state;
+  size_t converted = 0;
+  for (size_t i = 0; i < bonn_case_count; i++) {
+    conversion t;
+    btf_model *model;
+    begin(&t, &bonn_cases[i]);
+    if (!converts(&t.c)) {
+      assert_status(convert(&t, "fmf", "", NULL, &model), BTF_E_UNSUPPORTED);
+      assert_null(model);
+      assert_message_has(t.path);
+      assert_message_has(t.c.family == BONN_CASE_BDI ? "samples"
+                         : t.c.dynamic_range != 0    ? "logarithms"
+                                                     : "not linear");
+    } else if (t.c.family == BONN_CASE_PVF) {
+      assert_status(convert(&t, "fmf", "", NULL, &model), BTF_E_UNSUPPORTED);
+      assert_message_has("each view");
+    } else {
+      assert_ok(convert(&t, "fmf", "", NULL, &model));
+      compare(&t, model, exact);
+      compare_between(&t, model, exact);
+      btf_model_release(model);
+      converted++;
+    }
+    end(&t);
+  }
+  assert_int_equal(converted, 11);
+}
+
+static bonn_case case_named(const char *label) {
+  for (size_t i = 0; i < bonn_case_count; i++)
+    if (strcmp(bonn_cases[i].label, label) == 0) return bonn_cases[i];
+  fail_msg("no case %s", label);
+  return bonn_cases[0];
+}
+
+/* Storage of the caller's choice, and what halves make of colour weights that are none: each of two vectors
+ * of a product rounds to 2^-11 of its largest magnitude, and the magnitudes of a channel sum up to 12.3. */
+static void test_storage(void **state) {
+  (void)state;
+  conversion t;
+  btf_model *model;
+  const bonn_case yuv = case_named("DFMF YUV"), half = case_named("FMF half");
+  begin(&t, &yuv);
+  assert_ok(convert(&t, "fmf", "storage=f16", NULL, &model));
+  compare(&t, model, 12.3 * (2 * 0x1p-11 + 0x1p-22));
+  btf_model_release(model);
+  assert_ok(convert(&t, "fmf", "storage=f32 coding=packed", NULL, &model));
+  compare(&t, model, exact);
+  btf_model_release(model);
+  end(&t);
+  /* Halves stay halves without a loss, and take half the memory. */
+  begin(&t, &half);
+  btf_model *wide;
+  assert_ok(convert(&t, "fmf", "", NULL, &model));
+  assert_ok(convert(&t, "fmf", "storage=f32", NULL, &wide));
+  assert_true(resident(model) < resident(wide));
+  compare(&t, model, exact);
+  btf_model_release(model);
+  btf_model_release(wide);
+  end(&t);
+}
+
+/* 100 components, each channel by itself: 300 of ours. */
+static void test_many_components(void **state) {
+  (void)state;
+  conversion t;
+  btf_model *model;
+  bonn_case c = case_named("DFMF RGB");
+  c.views = 12;
+  c.lights = 10;
+  c.width = 12;
+  c.height = 11;
+  c.components = 100;
+  begin(&t, &c);
+  assert_ok(convert(&t, "fmf", "", NULL, &model));
+  compare(&t, model, exact);
+  btf_model_release(model);
+  end(&t);
+  c.views = c.lights = 19;
+  c.width = c.height = 19;
+  c.components = 342;
+  begin(&t, &c);
+  assert_status(convert(&t, "fmf", "", NULL, &model), BTF_E_UNSUPPORTED);
+  assert_message_has("1026");
+  end(&t);
+}
+
+static void test_not_finite(void **state) {
+  (void)state;
+  conversion t;
+  btf_model *model;
+  const bonn_case c = case_named("FMF float, cosine");
+  begin(&t, &c);
+  btf_dataset_release(t.ds);
+  bonn_bytes bytes = bonn_case_write(&c);
+  memset(bytes.data + bytes.size - 4, 0xff, 4);
+  test_write_bytes(t.path, bytes.data, bytes.size);
+  free(bytes.data);
+  assert_ok(btf_format_open(t.ctx, t.path, NULL, NULL, &t.ds));
+  assert_status(convert(&t, "fmf", "", NULL, &model), BTF_E_CORRUPT);
+  assert_message_has("not finite");
+  assert_null(model);
+  end(&t);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {cmocka_unit_test(test_every_case), cmocka_unit_test(test_storage),
+                                     cmocka_unit_test(test_many_components),
+                                     cmocka_unit_test(test_not_finite)};
+  return btf_run("bonn_convert", tests);
+}

@@ -1,0 +1,340 @@
+/* SPDX-License-Identifier: MIT */
+/* Files written from factors, read back and compared with brute force from what they were made of. */
+#include "bonn_case.h"
+#include "../source/test_format.h"
+
+#include <errno.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "io/io.h"
+
+/* As in test_bonn_convert.c. */
+static const double exact = 1e-5;
+/* Each of two vectors of a product rounds to 2^-11 of its largest magnitude; those of a channel sum to 12.3.
+ */
+static const double of_halves = 12.3 * (2 * 0x1p-11 + 0x1p-22);
+
+typedef struct writing {
+  bonn_case c;
+  btf_context *ctx;
+  test_memory memory;
+  btf_dataset *ds;
+  const char *path; /* written */
+} writing;
+
+static bonn_case case_named(const char *label) {
+  for (size_t i = 0; i < bonn_case_count; i++)
+    if (strcmp(bonn_cases[i].label, label) == 0) return bonn_cases[i];
+  fail_msg("no case %s", label);
+  return bonn_cases[0];
+}
+
+static void begin(writing *t, const bonn_case *c) {
+  t->c = *c;
+  t->ctx = format_context(&t->memory);
+  t->path = test_path("written.btf");
+  const char *source = test_path("source.dat");
+  bonn_bytes bytes = bonn_case_write(c);
+  test_write_bytes(source, bytes.data, bytes.size);
+  free(bytes.data);
+  assert_ok(btf_format_open(t->ctx, source, NULL, NULL, &t->ds));
+}
+
+static void end(writing *t) {
+  btf_dataset_release(t->ds);
+  unlink(t->path);
+  test_context_done(t->ctx, &t->memory);
+}
+
+/* `settings` is name, value, ..., NULL. */
+static btf_status write_with(const writing *t, const char *const *settings, const btf_job *job) {
+  const btf_format *format = btf_format_find(t->ctx, "bonn-btf");
+  btf_options *options;
+  btf_status status = btf_format_write_options_create(format, &options);
+  for (size_t i = 0; status == BTF_OK && settings[i] != NULL; i += 2)
+    status = btf_options_set(options, settings[i], settings[i + 1]);
+  if (status == BTF_OK) status = btf_format_write(t->ctx, t->path, format, options, t->ds, job);
+  btf_options_release(options);
+  return status;
+}
+
+static const char *note(const btf_dataset_desc *d, const char *key) {
+  for (uint32_t i = 0; d->notes != NULL && d->notes[i] != NULL; i += 2)
+    if (strcmp(d->notes[i], key) == 0) return d->notes[i + 1];
+  return "";
+}
+
+static void check_directions(const btf_dirset *set, uint32_t count, bool light) {
+  assert_int_equal(btf_dirset_count(set), count);
+  for (uint32_t i = 0; i < count; i++) {
+    const float *d = btf_dirset_directions(set) + 3 * i;
+    float theta, phi;
+    bonn_case_angles(i, count, light, &theta, &phi);
+    assert_near(d[0], sin(theta) * cos(phi), 1e-6);
+    assert_near(d[1], sin(theta) * sin(phi), 1e-6);
+    assert_near(d[2], cos(theta), 1e-6);
+  }
+}
+
+static void read_back(const writing *t, const char *family, double tolerance) {
+  const bonn_case *c = &t->c;
+  btf_dataset *ds;
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT, from = BTF_DATASET_DESC_INIT;
+  assert_ok(btf_format_open(t->ctx, t->path, NULL, NULL, &ds));
+  assert_ok(btf_dataset_describe(ds, &d));
+  assert_ok(btf_dataset_describe(t->ds, &from));
+  assert_string_equal(note(&d, "bonn_family"), family);
+  assert_string_equal(note(&d, "bonn_setup"), note(&from, "bonn_setup"));
+  assert_int_equal(d.quantity, from.quantity);
+  assert_near(d.texels_per_mm, from.texels_per_mm, 0);
+  for (uint32_t k = 0; k < c->channels; k++) assert_string_equal(d.channel_names[k], from.channel_names[k]);
+  check_directions(d.views, c->views, false);
+  check_directions(d.lights, c->lights, true);
+  for (uint32_t v = 0; v < c->views; v++)
+    for (uint32_t l = 0; l < c->lights; l++)
+      for (uint32_t y = 0; y < c->height; y++)
+        for (uint32_t x = 0; x < c->width; x++) {
+          float got[64];
+          const btf_block one = {v, 1, l, 1, x, y, 1, 1};
+          const btf_strides strides = {256, 256, 256, 256, 4};
+          assert_ok(btf_dataset_read(ds, &one, got, &strides));
+          for (uint32_t k = 0; k < c->channels; k++) {
+            const double expected = bonn_case_sample(c, v, l, x, y, k);
+            assert_near(got[k], expected, tolerance * fmax(1, fabs(expected)));
+          }
+        }
+  btf_dataset_release(ds);
+}
+
+static size_t written_bytes(const writing *t) {
+  struct stat info;
+  assert_int_equal(stat(t->path, &info), 0);
+  return (size_t)info.st_size;
+}
+
+static const struct form {
+  const char *settings[5], *family;
+  bool halves;
+} forms[] = {{{"family", "fmf", "scalar", "float"}, "FMF", false},
+             {{"family", "dfmf", "scalar", "float"}, "DFMF", false},
+             {{"family", "fmf", "scalar", "half"}, "FMF", true},
+             {{"family", "dfmf", "scalar", "half"}, "DFMF", true},
+             {{NULL}, "FMF", true}};
+
+/* Factors that are halves stay so in every form. Sizes are those of the description: 10 or 11 bytes of
+ * signature, 276 and the names, directions, sizes, rotations and counts, and the matrices. */
+static void test_forms(void **state) {
+  (void)state;
+  static const char *const labels[] = {"FMF half", "FMF double, xml", "FMF by texel",
+                                       "FMF12 spectral, by texel"};
+  for (size_t i = 0; i < sizeof labels / sizeof *labels; i++)
+    for (size_t k = 0; k < sizeof forms / sizeof *forms; k++) {
+      writing t;
+      bonn_case c = case_named(labels[i]);
+      c.width += 4; /* room for components of each channel */
+      c.views += 3;
+      begin(&t, &c);
+      assert_ok(write_with(&t, forms[k].settings, NULL));
+      read_back(&t, forms[k].family, exact);
+      if (i == 0) {
+        const size_t size = forms[k].halves ? 2 : 4, pairs = (size_t)c.views * c.lights,
+                     texels = (size_t)c.width * c.height;
+        const bool dfmf = forms[k].settings[0] != NULL && strcmp(forms[k].settings[1], "dfmf") == 0;
+        const size_t head = 276 + 3 * 5 + 4 + c.views * (12 + 8 * (size_t)c.lights) + 8 + 4 + 4;
+        const size_t matrix = 13 + c.components * size * (1 + (dfmf ? pairs : 3 * pairs) + texels);
+        assert_int_equal(written_bytes(&t), head + (dfmf ? 10 + 4 + 12 * 4 + 3 * matrix : 9 + matrix));
+      }
+      end(&t);
+    }
+}
+
+/* A file of a factorisation for each channel is one again, with as many components. */
+static void test_channels(void **state) {
+  (void)state;
+  writing t;
+  bonn_case c = case_named("DFMF RGB");
+  const char *const dfmf[] = {"family", "dfmf", NULL}, *const half[] = {"scalar", "half", NULL},
+                    *const by_channel[] = {"family", "dfmf", "scalar", "half", NULL};
+  btf_dataset *again;
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  c.width += 4;
+  begin(&t, &c);
+  assert_ok(write_with(&t, dfmf, NULL));
+  read_back(&t, "DFMF", exact);
+  assert_ok(btf_format_open(t.ctx, t.path, NULL, NULL, &again));
+  assert_ok(btf_dataset_describe(again, &d));
+  assert_string_equal(note(&d, "bonn_components"), "4");
+  btf_dataset_release(again);
+  end(&t);
+  c = case_named("DFMF YUV");
+  c.width += 4;
+  begin(&t, &c);
+  assert_ok(write_with(&t, dfmf, NULL)); /* these are no halves */
+  read_back(&t, "DFMF", exact);
+  assert_ok(write_with(&t, half, NULL));
+  read_back(&t, "FMF", of_halves);
+  assert_ok(write_with(&t, by_channel, NULL));
+  read_back(&t, "DFMF", of_halves);
+  end(&t);
+}
+
+static void test_models(void **state) {
+  (void)state;
+  writing t;
+  bonn_case c = case_named("FMF float, cosine");
+  const char *const defaults[] = {NULL}, *const half[] = {"scalar", "half", NULL};
+  begin(&t, &c);
+  const btf_codec *fmf = btf_codec_find(t.ctx, "fmf");
+  if (fmf == NULL) {
+    end(&t);
+    skip();
+  }
+  btf_model *model;
+  btf_dataset *measured = t.ds;
+  assert_ok(btf_model_from_factors(measured, fmf, NULL, NULL, &model));
+  assert_ok(btf_dataset_from_model(model, &t.ds));
+  btf_model_release(model);
+  assert_ok(write_with(&t, defaults, NULL));
+  read_back(&t, "FMF", exact);
+  assert_ok(write_with(&t, half, NULL));
+  read_back(&t, "FMF", of_halves);
+  btf_dataset_release(measured);
+  end(&t);
+}
+
+/* Rows are written in runs that fit the working set, whatever it is. */
+static void test_budget(void **state) {
+  (void)state;
+  writing t;
+  bonn_case c = case_named("FMF half");
+  const char *const defaults[] = {NULL};
+  size_t whole_size, size;
+  btf_job job = BTF_JOB_INIT;
+  begin(&t, &c);
+  assert_ok(write_with(&t, defaults, NULL));
+  unsigned char *whole = test_read_bytes(t.path, &whole_size);
+  /* Vectors of 4 * 5 * 3 floats for each thread, and a row of 4 components. */
+  job.max_working_set = 4 * 60 * (uint64_t)btf_context_threads(t.ctx) + 16;
+  assert_ok(write_with(&t, defaults, &job));
+  unsigned char *rows = test_read_bytes(t.path, &size);
+  assert_int_equal(size, whole_size);
+  assert_memory_equal(rows, whole, size);
+  job.max_working_set--;
+  assert_status(write_with(&t, defaults, &job), BTF_E_LIMIT);
+  assert_message_has("would do");
+  free(rows);
+  free(whole);
+  end(&t);
+}
+
+static void expect_refusal(const bonn_case *c, const char *const *settings, btf_status expected,
+                           const char *words) {
+  writing t;
+  begin(&t, c);
+  assert_status(write_with(&t, settings, NULL), expected);
+  assert_message_has(words);
+  assert_false(test_exists(t.path));
+  end(&t);
+}
+
+static void test_refusals(void **state) {
+  (void)state;
+  const char *const defaults[] = {NULL};
+  bonn_case c = case_named("BDI");
+  expect_refusal(&c, defaults, BTF_E_UNSUPPORTED, "samples");
+  c = case_named("PVF");
+  expect_refusal(&c, defaults, BTF_E_UNSUPPORTED, "each view");
+  c = case_named("DFMF RGB"); /* 12 components in one, of 6 texels */
+  expect_refusal(&c, defaults, BTF_E_UNSUPPORTED, "12 components");
+  writing t;
+  c = case_named("FMF half");
+  begin(&t, &c);
+  const btf_format *format = btf_format_find(t.ctx, "bonn-btf");
+  btf_options *reading;
+  assert_true(btf_format_can_write(format));
+  assert_int_equal(btf_format_write_param_count(format), 2);
+  btf_param_desc p = {.struct_size = sizeof p};
+  assert_ok(btf_format_write_param(format, 0, &p));
+  assert_string_equal(p.name, "family");
+  assert_ok(btf_format_options_create(format, &reading));
+  assert_status(btf_format_write(t.ctx, t.path, format, reading, t.ds, NULL), BTF_E_INVALID_ARG);
+  btf_options_release(reading);
+  const btf_format *only_read = btf_format_find(t.ctx, "merl");
+  if (only_read != NULL) {
+    assert_false(btf_format_can_write(only_read));
+    assert_status(btf_format_write(t.ctx, t.path, only_read, NULL, t.ds, NULL), BTF_E_UNSUPPORTED);
+  }
+  assert_status(btf_format_write(t.ctx, NULL, format, NULL, t.ds, NULL), BTF_E_INVALID_ARG);
+  assert_status(btf_format_write(t.ctx, test_folder(), format, NULL, t.ds, NULL), BTF_E_IO);
+  assert_status(btf_format_write(t.ctx, test_path("none/x.btf"), format, NULL, t.ds, NULL), BTF_E_IO);
+  end(&t);
+}
+
+static long calls, failing_call;
+
+static int fail_call(const char *call) {
+  (void)call;
+  return ++calls == failing_call ? ENOSPC : 0;
+}
+
+static int32_t cancel(void *user, double fraction, const char *stage) {
+  (void)user, (void)stage;
+  return fraction > 0;
+}
+
+/* What fails leaves nothing behind, and a file that was there as it was. */
+static void test_failures(void **state) {
+  (void)state;
+  writing t;
+  const bonn_case c = case_named("FMF half");
+  const char *const dfmf[] = {"family", "dfmf", NULL};
+  begin(&t, &c);
+  for (int there = 0; there < 2; there++) {
+    btf_status status = BTF_E_IO;
+    const size_t entries = test_count_entries(test_folder());
+    for (failing_call = 1; status != BTF_OK; failing_call++) {
+      calls = 0;
+      btfi_io_fault = fail_call;
+      status = write_with(&t, dfmf, NULL);
+      btfi_io_fault = NULL;
+      if (status == BTF_OK) break;
+      assert_int_equal(status, BTF_E_IO);
+      /* The folder is synchronised after the renaming: the file is whole then. */
+      if (test_count_entries(test_folder()) != entries) {
+        assert_int_equal(test_count_entries(test_folder()), entries + 1);
+        read_back(&t, "DFMF", exact);
+        if (!there) unlink(t.path);
+      }
+    }
+    assert_true(failing_call > 20);
+    read_back(&t, "DFMF", exact);
+  }
+  unlink(t.path);
+  btf_job job = BTF_JOB_INIT;
+  job.progress = cancel;
+  const size_t entries = test_count_entries(test_folder());
+  assert_status(write_with(&t, dfmf, &job), BTF_E_CANCELLED);
+  assert_int_equal(test_count_entries(test_folder()), entries);
+  btf_status status = BTF_E_NOMEM;
+  long fail_at = 0;
+  while (status != BTF_OK) {
+    t.memory.fail_at = t.memory.total_allocations + ++fail_at;
+    status = write_with(&t, dfmf, NULL);
+    if (status != BTF_OK) {
+      assert_int_equal(status, BTF_E_NOMEM);
+      assert_int_equal(test_count_entries(test_folder()), entries);
+    }
+  }
+  t.memory.fail_at = 0;
+  assert_true(fail_at > 8);
+  end(&t);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(test_forms),  cmocka_unit_test(test_channels), cmocka_unit_test(test_models),
+      cmocka_unit_test(test_budget), cmocka_unit_test(test_refusals), cmocka_unit_test(test_failures),
+  };
+  return btf_run("bonn_write", tests);
+}

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+# The same data in another form. `measured.jpg` is the factored file of measured.sh.
+
+if [ ! -e measured.jpg ]; then
+  skip "convert: no factored file was made"
+elif ! "$btf" codecs fmf >/dev/null 2>&1; then
+  skip "convert: no fmf"
+else
+  run convert measured.jpg kept.btfz
+  expect "convert a factored file" 0 "kept.btfz: fmf"
+  run compare measured.jpg kept.btfz --exact
+  expect "factors are kept as they are" 0 ""
+  run info kept.btfz
+  expect "what is recorded" 0 "btf convert measured.jpg"
+  expect "notes of the measurement" 0 "bonn_setup*dome"
+  if "$btf" encode imported.btfd -o noted.btfz --codec fmf -p components=1 >/dev/null 2>&1; then
+    run info noted.btfz
+    expect "notes by way of a folder" 0 "bonn_setup*dome"
+  fi
+  run convert measured.jpg again.btfz -t 2
+  cmp -s kept.btfz again.btfz && pass || fail "the name of the output and the threads change the bytes"
+  run convert kept.btfz packed.btfz -p storage=f32 -p coding=packed
+  expect "convert a container" 0 "packed.btfz: fmf"
+  run compare measured.jpg packed.btfz --max-rmse 1e-6
+  expect "packed factors" 0 ""
+  run convert measured.jpg cosine.btfz --format bonn-btf --input cosine=inside
+  run info cosine.btfz
+  expect "a parameter of the format read" 0 "brdf_cos"
+  run convert imported.btfd x.btfz
+  expect "convert samples to factors" 5 "holds samples and no factors; btf encode"
+  run convert measured.jpg x.dat
+  expect "a name that tells nothing" 1 "--to"
+  run convert measured.jpg x.btfz --to fmd
+  expect "a misspelt codec" 1 "did you mean fmf?"
+  run convert measured.jpg x.btfz -p components=3
+  expect "a parameter of a fit" 1 "no effect"
+  run convert measured.jpg x.btfz --to lafortune
+  [ "$status" = 1 ] || expect "a codec without factors" 5 "cannot hold given factors"
+  run convert measured.jpg x.btfz --format merl
+  expect "the wrong format of IN" 3 "measured.jpg"
+  run convert short.jpg x.btfz
+  expect "convert a short file" 3 "ends within"
+  [ ! -e x.btfz ] && pass || fail "a failed conversion left something behind"
+  run convert measured.jpg nowhere/x.btfz
+  expect "a place that is not there" 2 "nowhere"
+  run convert measured.jpg samples.btfd --type f32
+  expect "convert to a folder" 0 "samples.btfd: folder"
+  run compare measured.jpg samples.btfd --exact
+  expect "samples of a folder" 0 ""
+  run convert kept.btfz decoded.btfd --type f32
+  run compare measured.jpg decoded.btfd --exact
+  expect "a container as a folder" 0 ""
+  if python3 -c 'import numpy' 2>/dev/null; then
+    # The three lines of docs/formats.md.
+    python3 - <<'END' && pass || fail "numpy reads the folder"
+import json, numpy as np
+m = json.load(open("samples.btfd/manifest.json"))
+a = np.memmap("samples.btfd/samples.bin", "<f4", "r", shape=(len(m["views"]), len(m["lights"]), m["height"], m["width"], len(m["channels"])))
+v, l, y, x, c = np.indices(a.shape)
+assert (a == (l + 1) * (v + 1) * (10 * y + x + 1) / 256).all()
+END
+  else
+    skip "numpy reads the folder: no numpy"
+  fi
+  for family in fmf dfmf; do
+    run convert kept.btfz written.btf --to bonn-btf -p family=$family -p scalar=float
+    expect "write $family" 0 "written.btf: bonn-btf"
+    run compare measured.jpg written.btf --max-rmse 1e-7
+    expect "$family is read back" 0 ""
+  done
+  run convert imported.btfd x.btf --to bonn-btf
+  expect "samples as factors" 5 "holds samples"
+  run convert measured.jpg x.btf --to bonn-btf -p cosine=inside
+  expect "a parameter of reading" 1 "family, scalar"
+  run convert measured.jpg x.btf --to bonn-btf --type f32
+  expect "a type for factors" 1 "--type"
+  run convert measured.jpg x.btfd -p type=f32
+  expect "a parameter for a folder" 1 "--type"
+  run convert measured.jpg x.bin --to merl
+  [ "$status" = 1 ] || expect "a format that is only read" 5 "only read"
+  [ ! -e x.btf ] && [ ! -e x.btfd ] && pass || fail "a failed conversion left something behind"
+  run convert --list
+  expect "what can be written" 0 "-p family="
+  mkdir folder.btfz
+  run convert measured.jpg folder.btfz
+  expect "a folder in the place of a container" 2 "is a folder"
+  rmdir folder.btfz
+fi
+run convert measured.jpg
+expect "convert without OUT" 1 "OUT is missing"
