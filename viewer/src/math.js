@@ -60,3 +60,10 @@ export function lightMatrix(direction, radius) {
 
 // Well spread pairs in 0..1, whatever their number (the plastic number's additive recurrence).
 export const spread = (n) => [(0.5 + n * 0.7548776662466927) % 1, (0.5 + n * 0.5698402909980532) % 1];
+
+// Places in a pixel around 0 for the first `count` samples, whose mean is 0, so that the picture is not moved.
+export function pixelPlaces(count) {
+  const places = Array.from({ length: count }, (_, i) => spread(i));
+  const mean = [0, 1].map((k) => places.reduce((sum, place) => sum + place[k], 0) / count);
+  return places.map((place) => place.map((x, k) => x - mean[k]));
+}

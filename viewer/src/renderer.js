@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // Draws the scene: samples of a pixel and of the environment are taken one frame after another and averaged while
 // nothing moves. While something moves, single samples are shown, at a resolution that keeps up.
-import { cameraMatrix, clamp, directionOf, lightMatrix, orbitCamera, spread } from './math.js';
+import { cameraMatrix, clamp, directionOf, lightMatrix, orbitCamera, pixelPlaces, spread } from './math.js';
 import { bindExport, freeExport, freeTarget, makeProgram, makeProgramAside, makeTarget, uploadExport } from './gpu.js';
 import { BACKDROP_FRAGMENT, discFragment, MEAN_FRAGMENT, MOST_LIGHTS, PICK_FRAGMENT, SCREEN_VERTEX } from './shaders.js';
 import { shadeFragment, SHADOW_FRAGMENT, SHADOW_VERTEX, SHOW_FRAGMENT, SURFACE_VERTEX } from './shaders.js';
@@ -250,7 +250,7 @@ export class Renderer {
   addSample(state, of, scale) {
     const width = Math.max(1, Math.round(this.fresh.width * scale)), height = Math.max(1, Math.round(this.fresh.height * scale));
     const camera = this.camera(state), lights = this.lightsOf(state, of === 1 ? 0 : this.sample);
-    const jitter = of === 1 ? [0, 0] : spread(this.sample).map((x) => x - 0.5);
+    const jitter = pixelPlaces(of)[this.sample % of];
     if (this.shape.shadows) {
       for (const light of lights) light.matrix = lightMatrix(light.direction, this.shape.radius);
       this.drawShadows(lights);
