@@ -112,7 +112,8 @@ static btf_status put_shader(const btf_host *host, uint32_t groups, uint32_t cha
 }
 
 /* Signed bytes come from a texture as 127ths. */
-static btf_status put_scale(const btf_host *host, const btfi_fmf_state *s, uint32_t groups, btf_gpu_builder *b) {
+static btf_status put_scale(const btf_host *host, const btfi_fmf_state *s, uint32_t groups,
+                            btf_gpu_builder *b) {
   const float unit = s->layout.storage == FMF_Q8 ? 127.0f * 127.0f : 1.0f;
   float scale[FMF_MAX_COLUMNS];
   for (uint32_t k = 0; k < FMF_MAX_COLUMNS; k++) scale[k] = s->column_scale[k] * unit;

@@ -253,7 +253,7 @@ void btfi_lpca_texel(const void *state, uint32_t level, uint32_t x, uint32_t y, 
 
 extern const btf_gpu_layout_desc *const btfi_lpca_gpu_layouts[];
 btf_status btfi_lpca_gpu(const btf_host *host, btf_context *ctx, const void *state,
-                        const btf_model_shape *shape, uint32_t layout, const btf_gpu_target *target,
-                        btf_gpu_builder *out);
+                         const btf_model_shape *shape, uint32_t layout, const btf_gpu_target *target,
+                         btf_gpu_builder *out);
 
 #endif

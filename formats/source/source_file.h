@@ -17,8 +17,8 @@ typedef struct source_file {
 
 /* Maps a regular file, which may be empty. On failure there is nothing to close. */
 btf_status source_file_open(const btf_host *host, btf_context *ctx, const char *path, source_file *out);
-/* The same for a file in the folder of `file`, of whose data it is a part: BTF_E_CORRUPT if it is missing. The
- * message has the path of `file` in front. */
+/* The same for a file in the folder of `file`, of whose data it is a part: BTF_E_CORRUPT if it is missing.
+ * The message has the path of `file` in front. */
 btf_status source_file_open_beside(const source_file *file, const char *name, source_file *out);
 void source_file_close(source_file *file);
 

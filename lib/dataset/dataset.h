@@ -14,8 +14,8 @@ const btf_dataset_desc *btfi_dataset_desc(const btf_dataset *ds);
 /* Views x lights entries that tell where a common light lies in its view's own list; NULL without such lists.
  */
 const btf_interp *btfi_dataset_light_weights(const btf_dataset *ds);
-/* The same samples for a reader of its own that is to keep within so many bytes: where a mapping has more, its
- * file is read instead, and that and sources through a small part of them. 0 = no bound, and the data set
+/* The same samples for a reader of its own that is to keep within so many bytes: where a mapping has more,
+ * its file is read instead, and that and sources through a small part of them. 0 = no bound, and the data set
  * itself is retained. Values do not depend on it. */
 btf_status btfi_dataset_within(const btf_dataset *ds, uint64_t bytes, btf_dataset **out);
 /* BTF_E_CORRUPT, naming the place, if a resident or mapped sample is not finite; reads all of them once.

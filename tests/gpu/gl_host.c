@@ -15,7 +15,8 @@
 #define GL_FUNCTIONS(X)                                                                                      \
   X(PFNGLGETSTRINGPROC, GetString)                                                                           \
   X(PFNGLGETERRORPROC, GetError)                                                                             \
-  X(PFNGLENABLEPROC, Enable) X(PFNGLCREATESHADERPROC, CreateShader) X(PFNGLSHADERSOURCEPROC, ShaderSource)   \
+  X(PFNGLENABLEPROC, Enable)                                                                                 \
+  X(PFNGLCREATESHADERPROC, CreateShader) X(PFNGLSHADERSOURCEPROC, ShaderSource)                              \
       X(PFNGLCOMPILESHADERPROC, CompileShader) X(PFNGLGETSHADERIVPROC, GetShaderiv) X(                       \
           PFNGLGETSHADERINFOLOGPROC, GetShaderInfoLog) X(PFNGLCREATEPROGRAMPROC, CreateProgram)              \
           X(PFNGLATTACHSHADERPROC, AttachShader) X(PFNGLLINKPROGRAMPROC, LinkProgram) X(                     \
