@@ -81,10 +81,10 @@ END
   [ ! -e x.btf ] && [ ! -e x.btfd ] && pass || fail "a failed conversion left something behind"
   run convert --list
   expect "what can be written" 0 "-p family="
-  mkdir folder.btfz
-  run convert measured.jpg folder.btfz
+  mkdir taken.btfz
+  run convert measured.jpg taken.btfz
   expect "a folder in the place of a container" 2 "is a folder"
-  rmdir folder.btfz
+  rmdir taken.btfz
 fi
 run convert measured.jpg
 expect "convert without OUT" 1 "OUT is missing"
