@@ -490,6 +490,8 @@ static void import(btf_context *ctx, const btf_dataset *ds, const char *path) {
   btf_dataset_writer *writer;
   assert_ok(btf_dataset_describe(ds, &d));
   assert_ok(btf_dataset_writer_create(ctx, path, &d, BTF_ORDER_VLYXC, &writer));
+  for (uint32_t i = 0; d.notes != NULL && d.notes[i] != NULL; i += 2)
+    assert_ok(btf_dataset_writer_text(writer, d.notes[i], d.notes[i + 1]));
   const ptrdiff_t x = 4 * (ptrdiff_t)d.channels, y = x * (ptrdiff_t)d.width, light = y * (ptrdiff_t)d.height;
   const btf_strides strides = {.view = 81 * light, .light = light, .y = y, .x = x, .channel = 4};
   float *samples = malloc(81 * (size_t)light);
