@@ -240,7 +240,7 @@ const cli_command cmd_compare = {"compare",
                                  "error, SSIM, RMSE of Y, Cb and Cr, the worst texel and pair of directions, "
                                  "bytes and ratio. Status 7 if the shapes\n"
                                  "differ or a bound that was asked for is broken. REFERENCE and FILE are "
-                                 "data-set folders or container files.",
+                                 "data-set folders, container files or measured data.",
                                  options,
                                  2,
                                  -1,

@@ -83,7 +83,9 @@ static int encode(cli *c, const btf_codec *codec, const btf_options *options, co
   failed = input_open(c, source, &in);
   if (failed) return failed;
   if (in.dataset == NULL)
-    failed = cli_fail(EXIT_USAGE, "%s: is compressed already; encode takes a data-set folder", source);
+    failed = cli_fail(EXIT_USAGE,
+                      "%s: is compressed already; btf convert %s OUT.btfd makes a data-set folder of it",
+                      source, source);
   else if (stat(path, &info) == 0 && S_ISDIR(info.st_mode))
     failed = cli_fail(EXIT_IO, "%s: is a folder; encode writes a file", path);
   if (!failed) failed = output_try(path);
@@ -136,7 +138,7 @@ static const cli_option options_table[] = {
 
 const cli_command cmd_encode = {"encode",
                                 "compresses a data set",
-                                "IN.btfd -o OUT.btfz --codec NAME [-p KEY=VALUE]... [options]",
+                                "IN -o OUT.btfz --codec NAME [-p KEY=VALUE]... [options]",
                                 "Prints size, ratio (raw bytes at the data set's sample type to bytes on "
                                 "disk) and time. The file appears complete\n"
                                 "or not at all. It records the command with base names only, so that equal "

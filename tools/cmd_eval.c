@@ -156,17 +156,18 @@ static const cli_option options[] = {
     INPUT_OPTIONS,
     CLI_OPTIONS_END};
 
-const cli_command cmd_eval = {"eval",
-                              "evaluates a model or data set at queries",
-                              "FILE [options] < QUERIES",
-                              "A query is a line of 8 numbers, u v wix wiy wiz wox woy woz: the position in "
-                              "tiles, the unit vector toward the\n"
-                              "light and the one toward the viewer, in the frame of tangent, bitangent and "
-                              "normal. For each query one line with\n"
-                              "a number per channel is printed. Directions below the horizon give 0. Empty "
-                              "lines and lines that begin with #\n"
-                              "are passed over. FILE is a container file or a data-set folder.",
-                              options,
-                              1,
-                              1,
-                              run};
+const cli_command cmd_eval = {
+    "eval",
+    "evaluates a model or data set at queries",
+    "FILE [options] < QUERIES",
+    "A query is a line of 8 numbers, u v wix wiy wiz wox woy woz: the position in "
+    "tiles, the unit vector toward the\n"
+    "light and the one toward the viewer, in the frame of tangent, bitangent and "
+    "normal. For each query one line with\n"
+    "a number per channel is printed. Directions below the horizon give 0. Empty "
+    "lines and lines that begin with #\n"
+    "are passed over. FILE is a container file, a data-set folder or measured data.",
+    options,
+    1,
+    1,
+    run};

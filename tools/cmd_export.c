@@ -76,6 +76,9 @@ static int export_model(cli *c, const input *in, const char *path, const btf_gpu
   char *page = NULL;
   size_t page_size = 0;
   int failed = EXIT_DONE;
+  if (status == BTF_E_UNSUPPORTED && in->dataset != NULL)
+    return cli_fail(EXIT_UNSUPPORTED, "%s: a data set exports nothing; btf encode makes a model of it",
+                    in->path);
   if (status != BTF_OK) return cli_fail_library(status);
   if (cli_has(c, "viewer")) failed = viewer_page_create(e, zstd, &page, &page_size);
   if (!failed) {

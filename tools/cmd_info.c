@@ -311,7 +311,7 @@ static int run(cli *c) {
 static const cli_option options[] = {CLI_OPTION_JSON, INPUT_OPTIONS, CLI_OPTIONS_END};
 
 const cli_command cmd_info = {"info",
-                              "describes a container file or data set",
+                              "describes a container file, a data set or measured data",
                               "FILE [options]",
                               "Codec, sizes, directions, channels, metadata and the list of chunks with "
                               "their checksums. Works without the codec;\n"

@@ -100,9 +100,10 @@ static btf_status leave_out(damage_search *search) {
   if (kept == 0)
     return (file->host->fail)(file->ctx, search->damage.status, "%s: all images are damaged; %s: %s",
                               file->path, first, search->damage.why);
-  (file->host->log)(file->ctx, BTF_LOG_WARNING, "%s: %llu image%s damaged and left out%s %s: %s", file->path,
-                    (unsigned long long)damaged, damaged == 1 ? " is" : "s are",
-                    damaged == 1 ? "," : "; the first is", first, search->damage.why);
+  (file->host->log)(file->ctx, BTF_LOG_WARNING, "%s: %llu image%s damaged and count%s missing%s %s: %s",
+                    file->path, (unsigned long long)damaged, damaged == 1 ? " is" : "s are",
+                    damaged == 1 ? "s as" : " as", damaged == 1 ? "," : "; the first is", first,
+                    search->damage.why);
   return BTF_OK;
 }
 

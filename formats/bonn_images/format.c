@@ -72,8 +72,8 @@ static btf_status index_pairs(images_file *file, const btf_options *options) {
                       "%s: the counters of %u names do not fit their angles, which count", file->path,
                       differing);
   if (repeated > 0)
-    (file->host->log)(file->ctx, BTF_LOG_WARNING,
-                      "%s: %u images are left out, of pairs that have one already", file->path, repeated);
+    (file->host->log)(file->ctx, BTF_LOG_WARNING, "%s: %u image%s left out, of pairs that have one already",
+                      file->path, repeated, repeated == 1 ? " is" : "s are");
   return BTF_OK;
 }
 
@@ -88,11 +88,12 @@ static btf_status check_missing(images_file *file, const btf_options *options) {
   }
   if (missing == 0) return BTF_OK;
   if ((file->host->option)(options, "allow_missing") == 0)
-    return (file->host->fail)(
-        file->ctx, BTF_E_CORRUPT,
-        "%s: %u of %d images are missing: %s%s%s%s%s%s%s%s; allow_missing=true fills them", file->path,
-        missing, IMAGES_PAIRS, names[0], missing > 1 ? ", " : "", names[1], missing > 2 ? ", " : "", names[2],
-        missing > 3 ? ", " : "", names[3], missing > NAMED ? " ..." : "");
+    return (file->host->fail)(file->ctx, BTF_E_CORRUPT,
+                              "%s: %u of %d images are missing: %s%s%s%s%s%s%s%s; the parameter "
+                              "allow_missing fills them (--input allow_missing=true)",
+                              file->path, missing, IMAGES_PAIRS, names[0], missing > 1 ? ", " : "", names[1],
+                              missing > 2 ? ", " : "", names[2], missing > 3 ? ", " : "", names[3],
+                              missing > NAMED ? " ..." : "");
   (file->host->log)(file->ctx, BTF_LOG_WARNING,
                     "%s: %u of %d images are missing and filled in; the first is %s", file->path, missing,
                     IMAGES_PAIRS, names[0]);
