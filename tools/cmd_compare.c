@@ -239,7 +239,7 @@ const cli_command cmd_compare = {"compare",
                                  "reference's 99.9th percentile), mean relative\n"
                                  "error, SSIM, RMSE of Y, Cb and Cr, the worst texel and pair of directions, "
                                  "bytes and ratio. Status 7 if the shapes\n"
-                                 "differ or a bound that was asked for is broken. REFERENCE and FILE are "
+                                 "differ or a bound that was asked for is broken. REFERENCE and FILE\nare "
                                  "data-set folders, container files or measured data.",
                                  options,
                                  2,
