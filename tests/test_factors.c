@@ -3,6 +3,8 @@
  * storage, and everything refused that would not be kept. */
 #include "codec_suite.h"
 
+#include <btf/btf_half.h>
+
 enum { LIGHTS = 5, VIEWS = 4, WIDTH = 6, HEIGHT = 3, CHANNELS = 2, MOST = 9 };
 enum { ROWS = VIEWS * LIGHTS * CHANNELS, TEXELS = WIDTH * HEIGHT };
 
@@ -423,29 +425,163 @@ static void test_arguments(void **state) {
   test_context_done(ctx, &memory);
 }
 
-static void test_allocations(void **state) {
-  static const char *const settings[] = {"", "coding=packed storage=f16"};
+/* As storages of fmf, of up to 9 columns; of 8 bits are textures, weights are halves then. Views differ in
+ * their number of components. */
+static void test_views(void **state) {
+  static const struct storage of_views[] = {{"", 12 * 0x1p-24},
+                                            {"storage=f32 levels=1", 12 * 0x1p-24},
+                                            {"storage=f16", 2 * 0x1p-11},
+                                            {"storage=q8", 1.0 / 254 + 0x1p-11}};
   (void)state;
   static source s;
-  fill(&s, 1, 3);
-  for (size_t i = 0; i < 2; i++) {
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  btf_dataset *ds, *decoded;
+  btf_job job = BTF_JOB_INIT;
+  btf_model *again;
+  if (btf_codec_find(ctx, "pvpca") == NULL) {
+    test_context_done(ctx, &memory);
+    skip();
+  }
+  fill(&s, VIEWS, MOST);
+  memset(s.texel[1][2], 0, sizeof s.texel[1][2]); /* goes */
+  assert_ok(make(ctx, &s, &ds));
+  for (size_t i = 0; i < sizeof of_views / sizeof *of_views; i++) {
+    btf_model *model;
+    assert_ok(keep(ds, ctx, "pvpca", of_views[i].settings, NULL, &model));
+    if (worst(&s, model) > of_views[i].bound)
+      fail_msg("pvpca %s: %g instead of %g", of_views[i].settings, worst(&s, model), of_views[i].bound);
+    assert_ok(btf_dataset_from_model(model, &decoded));
+    btf_factors f = BTF_FACTORS_INIT;
+    assert_ok(btf_dataset_factors(decoded, &f));
+    assert_int_equal(f.products, VIEWS);
+    assert_int_equal(f.components[0], MOST);
+    assert_int_equal(f.components[1], MOST - 2);
+    assert_int_equal(f.value_bytes, strstr(of_views[i].settings, "f32") || i == 0 ? 4 : 2);
+    assert_ok(keep(decoded, ctx, "pvpca", "", NULL, &again));
+    expect_equal(model, again);
+    btf_model_release(again);
+    btf_dataset_release(decoded);
+    btf_model_release(model);
+  }
+  btf_dataset_release(ds);
+  job.progress = cancel;
+  expect_refusal(ctx, &s, "pvpca", "", &job, BTF_E_CANCELLED, "cancel");
+  s.components[2] = 65;
+  expect_refusal(ctx, &s, "pvpca", "", NULL, BTF_E_UNSUPPORTED, "65 components of view 2");
+  s.components[2] = 3;
+  s.texel[3][1][5] = 3e38f;
+  s.angular[1][ROWS - 1] = 3e38f;
+  expect_refusal(ctx, &s, "pvpca", "", NULL, BTF_E_NUMERIC, "component 1 of view 3");
+  s.texel[3][1][5] = INFINITY;
+  expect_refusal(ctx, &s, "pvpca", "", NULL, BTF_E_CORRUPT, "component 1 of the factors of view 3");
+  /* Nothing but zeros. */
+  memset(s.texel, 0, sizeof s.texel);
+  s.angular[1][ROWS - 1] = 1;
+  assert_ok(make(ctx, &s, &ds));
+  assert_ok(keep(ds, ctx, "pvpca", "", NULL, &again));
+  float got[CHANNELS];
+  assert_int_equal(btf_model_texel(again, 0, 1, 1, 2, 0, got), 0);
+  assert_true(got[0] == 0 && got[1] == 0);
+  btf_model_release(again);
+  btf_dataset_release(ds);
+  test_context_done(ctx, &memory);
+}
+
+static uint64_t resident(const btf_model *model) {
+  btf_model_info info = BTF_MODEL_INFO_INIT;
+  assert_ok(btf_model_describe(model, &info));
+  return info.resident_bytes;
+}
+
+/* From 2^-24, the least, to the largest of each column: kept in half the room, and exact but for the sums. */
+static void test_halves_of_views(void **state) {
+  (void)state;
+  static source s;
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  btf_dataset *ds;
+  btf_model *model, *wide;
+  if (btf_codec_find(ctx, "pvpca") == NULL) {
+    test_context_done(ctx, &memory);
+    skip();
+  }
+  fill(&s, VIEWS, 4);
+  s.value_bytes = 2;
+  for (uint32_t k = 0; k < 4; k++) {
+    for (uint32_t i = 0; i < ROWS; i++)
+      s.angular[k][i] = btf_half_to_float(btf_float_to_half(ldexpf(s.angular[k][i], -(int)(i % 14))));
+    for (uint32_t v = 0; v < VIEWS; v++)
+      for (uint32_t i = 0; i < TEXELS; i++)
+        s.texel[v][k][i] = btf_half_to_float(btf_float_to_half(ldexpf(s.texel[v][k][i], -(int)(i % 14))));
+  }
+  assert_ok(make(ctx, &s, &ds));
+  assert_ok(keep(ds, ctx, "pvpca", "levels=1", NULL, &model));
+  assert_ok(keep(ds, ctx, "pvpca", "levels=1 storage=f32", NULL, &wide));
+  assert_true(resident(model) < resident(wide));
+  assert_true(worst(&s, model) <= 12 * 0x1p-24);
+  btf_model_release(model);
+  btf_model_release(wide);
+  /* Numbers that are none, whatever the source says, make floats. */
+  s.texel[2][1][3] = 0.1f;
+  assert_ok(keep(ds, ctx, "pvpca", "levels=1", NULL, &model));
+  assert_true(worst(&s, model) <= 12 * 0x1p-24);
+  btf_model_release(model);
+  btf_dataset_release(ds);
+  test_context_done(ctx, &memory);
+}
+
+/* Tiny and huge vectors whose products are near 1 lose nothing by their magnitudes. */
+static void test_magnitudes_of_views(void **state) {
+  (void)state;
+  static source s;
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  btf_dataset *ds;
+  btf_model *model;
+  if (btf_codec_find(ctx, "pvpca") == NULL) {
+    test_context_done(ctx, &memory);
+    skip();
+  }
+  fill(&s, VIEWS, 4);
+  for (uint32_t i = 0; i < ROWS; i++) s.angular[0][i] *= 1e-30f;
+  for (uint32_t v = 0; v < VIEWS; v++)
+    for (uint32_t i = 0; i < TEXELS; i++) s.texel[v][0][i] *= 1e30f;
+  assert_ok(make(ctx, &s, &ds));
+  assert_ok(keep(ds, ctx, "pvpca", "", NULL, &model));
+  assert_true(worst(&s, model) <= 12 * 0x1p-24);
+  btf_model_release(model);
+  assert_ok(keep(ds, ctx, "pvpca", "storage=f16", NULL, &model));
+  assert_true(worst(&s, model) <= 2 * 0x1p-11);
+  btf_model_release(model);
+  btf_dataset_release(ds);
+  test_context_done(ctx, &memory);
+}
+
+static void test_allocations(void **state) {
+  static const char *const kinds[][2] = {{"fmf", ""}, {"fmf", "coding=packed storage=f16"}, {"pvpca", ""}};
+  (void)state;
+  static source s;
+  for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++) {
+    fill(&s, i == 2 ? VIEWS : 1, 4);
     test_memory memory;
     btf_context *ctx = test_context_with(&memory, NULL, 2);
     btf_dataset *ds;
     btf_status status = BTF_E_NOMEM;
     long fail_at = 0;
     assert_ok(make(ctx, &s, &ds));
-    while (status != BTF_OK) {
+    const int there = btf_codec_find(ctx, kinds[i][0]) != NULL;
+    while (there && status != BTF_OK) {
       btf_model *model = NULL;
       btf_dataset *decoded = NULL;
       memory.fail_at = memory.total_allocations + ++fail_at;
-      status = keep(ds, ctx, "fmf", settings[i], NULL, &model);
+      status = keep(ds, ctx, kinds[i][0], kinds[i][1], NULL, &model);
       if (status == BTF_OK) status = btf_dataset_from_model(model, &decoded);
       btf_dataset_release(decoded);
       btf_model_release(model);
       if (status != BTF_OK) assert_int_equal(status, BTF_E_NOMEM);
     }
-    assert_true(fail_at > 20);
+    if (there) assert_true(fail_at > 20);
     memory.fail_at = 0;
     btf_dataset_release(ds);
     test_context_done(ctx, &memory);
@@ -454,10 +590,17 @@ static void test_allocations(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_storages),        cmocka_unit_test(test_levels),
-      cmocka_unit_test(test_models_are_data), cmocka_unit_test(test_notes),
-      cmocka_unit_test(test_zeros),           cmocka_unit_test(test_refusals),
-      cmocka_unit_test(test_arguments),       cmocka_unit_test(test_allocations),
+      cmocka_unit_test(test_storages),
+      cmocka_unit_test(test_levels),
+      cmocka_unit_test(test_models_are_data),
+      cmocka_unit_test(test_notes),
+      cmocka_unit_test(test_zeros),
+      cmocka_unit_test(test_refusals),
+      cmocka_unit_test(test_arguments),
+      cmocka_unit_test(test_allocations),
+      cmocka_unit_test(test_views),
+      cmocka_unit_test(test_halves_of_views),
+      cmocka_unit_test(test_magnitudes_of_views),
   };
   return btf_run("factors", tests);
 }

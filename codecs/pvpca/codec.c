@@ -88,4 +88,6 @@ const btf_codec_vtbl btf_codec_pvpca = {
     .cost = cost,
     .gpu_layouts = btfi_pvpca_gpu_layouts,
     .gpu = btfi_pvpca_gpu,
+    .from_factors = btfi_pvpca_from_factors,
+    .factors = btfi_pvpca_factors_of,
 };

@@ -71,6 +71,12 @@ static btf_status get_terms(loading *l) {
   }
   if (!btfi_pvpca_layout_of(layout, s->views))
     return l->host->fail(l->ctx, BTF_E_CORRUPT, "pvpca: the tables would not fit 64 bits");
+  s->components = l->host->alloc(l->ctx, layout->views, sizeof *s->components);
+  if (s->components == NULL) return BTF_E_NOMEM;
+  for (uint32_t v = 0; v < layout->views; v++) {
+    const uint32_t columns = s->views[v].columns > 0 ? s->views[v].columns : 1;
+    s->components[v] = columns * layout->h_channels;
+  }
   if (layout->terms != s->head.terms)
     return l->host->fail(l->ctx, BTF_E_CORRUPT, "pvpca: views have %u components in all, the header %u",
                          layout->terms, s->head.terms);
@@ -110,8 +116,8 @@ static btf_status get_tables(loading *l) {
   BTF_TRY(
       btf_get_chunk(l->host, l->ctx, l->payload, "pvpca", PVPCA_TAG_WEIGHTS, 0, s->layout.g_bytes, &data));
   s->g = data;
-  s->resident = sizeof *s + s->layout.views * sizeof *s->views + s->layout.padded_scales * sizeof *s->scales +
-                s->layout.g_bytes;
+  s->resident = sizeof *s + s->layout.views * (sizeof *s->views + sizeof *s->components) +
+                s->layout.padded_scales * sizeof *s->scales + s->layout.g_bytes;
   for (uint32_t level = 0; level < s->layout.levels; level++) {
     BTF_TRY(btf_get_chunk(l->host, l->ctx, l->payload, "pvpca", PVPCA_TAG_TEXTURES, level,
                           s->layout.h_bytes[level], &data));
@@ -158,5 +164,6 @@ void btfi_pvpca_destroy(const btf_host *host, btf_context *ctx, void *state) {
   if (s == NULL) return;
   host->free(ctx, s->views);
   host->free(ctx, s->scales);
+  host->free(ctx, s->components);
   host->free(ctx, s);
 }

@@ -187,6 +187,9 @@ btf_status btfi_pvpca_reserve(btfi_pvpca_fit_job *f);
 /* Writes what project left and measure measured. */
 btf_status btfi_pvpca_write_view(btfi_pvpca_fit_job *f, uint32_t view);
 btf_status btfi_pvpca_write_head(const btfi_pvpca_fit_job *f);
+/* Store the tables of a view and its levels, each column times `inverse`, or as it is without. */
+btf_status btfi_pvpca_store_weights(btfi_pvpca_fit_job *f, uint32_t view, const float *inverse);
+btf_status btfi_pvpca_store_textures(btfi_pvpca_fit_job *f, uint32_t view, const float *inverse);
 
 /* choose.c */
 
@@ -195,6 +198,11 @@ btf_status btfi_pvpca_choose(btfi_pvpca_fit_job *f);
 
 btf_status btfi_pvpca_fit(const btf_host *host, btf_context *ctx, const btf_dataset *ds,
                           const btf_options *options, const btf_job *job, btf_chunk_writer *payload);
+
+/* factors.c: without a fit. */
+btf_status btfi_pvpca_from_factors(const btf_host *host, btf_context *ctx, const btf_model_shape *shape,
+                                   const btf_factors *given, const btf_options *options, const btf_job *job,
+                                   btf_chunk_writer *payload);
 
 /* ---- payload, state and evaluation ---- */
 
@@ -209,11 +217,13 @@ typedef struct btfi_pvpca_state {
   btfi_pvpca_head head;
   btfi_pvpca_layout layout;
   btfi_pvpca_view *views;
-  float *scales; /* of the terms of each view, padded with zeros */
+  float *scales;        /* of the terms of each view, padded with zeros */
+  uint32_t *components; /* of each view as factors */
 } btfi_pvpca_state;
 
 btf_status btfi_pvpca_load(const btf_host *host, btf_context *ctx, uint32_t format,
                            const btf_model_shape *shape, btf_chunk_reader *payload, void **state);
+btf_status btfi_pvpca_factors_of(const void *state, btf_factors *out);
 void btfi_pvpca_destroy(const btf_host *host, btf_context *ctx, void *state);
 void btfi_pvpca_eval(const void *state, const btf_query *query, float *out);
 void btfi_pvpca_eval_n(const void *state, const btf_batch *batch, float *const *out);

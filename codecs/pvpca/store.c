@@ -151,47 +151,68 @@ static void store_part(void *job, uint32_t part, uint32_t thread) {
   }
 }
 
-static btf_status write_weights(btfi_pvpca_fit_job *f, const btfi_pvpca_view *view) {
+/* NULL: columns are stored as they are. */
+static void set_inverse(storing *s, const float *inverse) {
+  for (uint32_t j = 0; j < s->columns; j++) s->inverse[j] = inverse != NULL ? inverse[j] : 1.0f;
+}
+
+btf_status btfi_pvpca_store_weights(btfi_pvpca_fit_job *f, uint32_t v, const float *inverse) {
+  const btfi_pvpca_view *view = &f->view[v];
   storing s = {.src = f->weights,
                .dst = f->g + view->g_start,
                .rows = f->rows,
                .columns = view->terms,
                .storage = btfi_pvpca_weight_storage(f->layout.storage)};
-  const uint32_t mean = f->layout.has_mean;
-  unsigned char *scales = f->scales + 4 * view->scale_start;
-  for (uint32_t j = 0; j < view->columns; j++) {
-    const float weight = j < mean ? 1.0f : largest_weight(f, view->terms, j - mean);
-    const float scale = f->largest[j] > PVPCA_SMALLEST ? f->largest[j] * weight : 0.0f;
-    if (!isfinite(scale))
-      return f->host->fail(f->ctx, BTF_E_NUMERIC, "pvpca: samples are too large for single precision");
-    btf_put_f32(scales + 4 * (size_t)j, scale);
-    if (j >= mean) s.inverse[j - mean] = inverse_of(weight);
-  }
+  set_inverse(&s, inverse);
   return f->host->parallel(f->ctx, PVPCA_PARTS, store_part, &s);
 }
 
-btf_status btfi_pvpca_write_view(btfi_pvpca_fit_job *f, uint32_t v) {
+btf_status btfi_pvpca_store_textures(btfi_pvpca_fit_job *f, uint32_t v, const float *inverse) {
   const btfi_pvpca_layout *layout = &f->layout;
   const btfi_pvpca_view *view = &f->view[v];
   const uint32_t texel_values = layout->h_channels * view->columns;
-  double error = f->centred[v] + f->mean_error[v];
-  BTF_TRY(write_weights(f, view));
-  if (texel_values == 0) {
-    f->squared_error += error;
-    return BTF_OK;
-  }
   for (uint32_t level = 0; level < layout->levels; level++) {
     storing s = {.src = level == 0 ? f->textures : f->level,
                  .dst = f->h[level] + layout->level_texels[level] * view->h_before,
                  .rows = layout->level_texels[level] * layout->h_channels,
                  .columns = view->columns,
                  .storage = layout->storage};
-    for (uint32_t j = 0; j < view->columns; j++) s.inverse[j] = inverse_of(f->largest[j]);
+    set_inverse(&s, inverse);
     if (level > 0)
       BTF_TRY(f->host->mip_filter(f->ctx, f->textures, texel_values, layout->width, layout->height,
                                   texel_values, level, f->level, texel_values));
     BTF_TRY(f->host->parallel(f->ctx, PVPCA_PARTS, store_part, &s));
   }
+  return BTF_OK;
+}
+
+static btf_status write_weights(btfi_pvpca_fit_job *f, uint32_t v) {
+  const btfi_pvpca_view *view = &f->view[v];
+  const uint32_t mean = f->layout.has_mean;
+  unsigned char *scales = f->scales + 4 * view->scale_start;
+  float inverse[COLUMNS];
+  for (uint32_t j = 0; j < view->columns; j++) {
+    const float weight = j < mean ? 1.0f : largest_weight(f, view->terms, j - mean);
+    const float scale = f->largest[j] > PVPCA_SMALLEST ? f->largest[j] * weight : 0.0f;
+    if (!isfinite(scale))
+      return f->host->fail(f->ctx, BTF_E_NUMERIC, "pvpca: samples are too large for single precision");
+    btf_put_f32(scales + 4 * (size_t)j, scale);
+    if (j >= mean) inverse[j - mean] = inverse_of(weight);
+  }
+  return btfi_pvpca_store_weights(f, v, inverse);
+}
+
+btf_status btfi_pvpca_write_view(btfi_pvpca_fit_job *f, uint32_t v) {
+  const btfi_pvpca_view *view = &f->view[v];
+  float inverse[COLUMNS];
+  double error = f->centred[v] + f->mean_error[v];
+  BTF_TRY(write_weights(f, v));
+  if (view->columns == 0) {
+    f->squared_error += error;
+    return BTF_OK;
+  }
+  for (uint32_t j = 0; j < view->columns; j++) inverse[j] = inverse_of(f->largest[j]);
+  BTF_TRY(btfi_pvpca_store_textures(f, v, inverse));
   for (uint32_t j = 0; j < view->terms; j++) {
     const btfi_pvpca_candidate *term = &f->candidates[(size_t)v * f->keep + j];
     error += term->error - term->gain;

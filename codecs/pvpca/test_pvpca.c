@@ -345,6 +345,40 @@ static void test_storages(void **unused) {
   test_context_done(ctx, &memory);
 }
 
+/* What keeping the factors of a fit in coarser storage adds is what the header says: they are orthogonal, and
+ * so is what the fit left. Energies are those of what the fit holds. */
+static void test_given_factors(void **unused) {
+  (void)unused;
+  btf_context *ctx = test_context(&memory);
+  material m = material_create(ctx, MATERIAL_GLOSSY, "grid:8x4", 16, 12, 3, true, BTF_WRAP_PERIODIC);
+  const double energy = material_energy(&m);
+  for (int mean = 0; mean < 2; mean++) {
+    btf_model *fitted =
+        pvpca_fit(ctx, &m, mean ? "components=12 storage=f32" : "components=12 storage=f32 mean=false");
+    const double left = fmf_squared_error(fitted, &m);
+    btf_dataset *ds;
+    assert_ok(btf_dataset_from_model(fitted, &ds));
+    for (uint32_t storage = 0; storage < PVPCA_STORAGES; storage++) {
+      static const char *const names[] = {"storage=f32", "storage=f16", "storage=q8"};
+      btf_options *options;
+      btf_model *model;
+      assert_ok(suite_options(ctx, "pvpca", names[storage], &options));
+      assert_ok(btf_model_from_factors(ds, btf_codec_find(ctx, "pvpca"), options, NULL, &model));
+      btf_options_release(options);
+      const btfi_pvpca_head *head = &pvpca_state(model)->head;
+      const double error = fmf_squared_error(model, &m);
+      assert_int_equal(head->storage, storage);
+      assert_near(left + head->squared_error, error, 1e-3 * error + 1e-9 * energy);
+      assert_relative(head->energy, energy - left, 1e-5);
+      btf_model_release(model);
+    }
+    btf_dataset_release(ds);
+    btf_model_release(fitted);
+  }
+  material_release(&m);
+  test_context_done(ctx, &memory);
+}
+
 /* Sizes at the edges: channels, shapes, one texel, one direction. Enough components make each exact. */
 static void test_shapes(void **unused) {
   (void)unused;
@@ -640,6 +674,7 @@ int main(void) {
                                      cmocka_unit_test(test_targets),
                                      cmocka_unit_test(test_target_out_of_reach),
                                      cmocka_unit_test(test_storages),
+                                     cmocka_unit_test(test_given_factors),
                                      cmocka_unit_test(test_shapes),
                                      cmocka_unit_test(test_flat),
                                      cmocka_unit_test(test_determinism),

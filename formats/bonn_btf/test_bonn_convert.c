@@ -119,7 +119,7 @@ static uint64_t resident(const btf_model *model) {
 
 static void test_every_case(void **state) {
   (void)state;
-  size_t converted = 0;
+  size_t converted = 0, views_converted = 0;
   for (size_t i = 0; i < bonn_case_count; i++) {
     conversion t;
     btf_model *model;
@@ -134,7 +134,14 @@ static void test_every_case(void **state) {
     } else if (t.c.family == BONN_CASE_PVF) {
       assert_status(convert(&t, "fmf", "", NULL, &model), BTF_E_UNSUPPORTED);
       assert_message_has("each view");
+      assert_ok(convert(&t, "pvpca", "", NULL, &model));
+      compare(&t, model, exact);
+      compare_between(&t, model, exact);
+      btf_model_release(model);
+      views_converted++;
     } else {
+      assert_status(convert(&t, "pvpca", "", NULL, &model), BTF_E_UNSUPPORTED);
+      assert_message_has("fmf");
       assert_ok(convert(&t, "fmf", "", NULL, &model));
       compare(&t, model, exact);
       compare_between(&t, model, exact);
@@ -144,6 +151,7 @@ static void test_every_case(void **state) {
     end(&t);
   }
   assert_int_equal(converted, 11);
+  assert_int_equal(views_converted, 3);
 }
 
 static bonn_case case_named(const char *label) {
@@ -223,9 +231,174 @@ static void test_not_finite(void **state) {
   end(&t);
 }
 
+/* Values are 0 or of magnitude 1/64 to 1 and multiples of 1/64. */
+static void test_views_storage(void **state) {
+  (void)state;
+  conversion t;
+  btf_model *model, *wide;
+  const bonn_case half = case_named("PVF"), single = case_named("PVF by texel");
+  begin(&t, &half);
+  assert_ok(convert(&t, "pvpca", "", NULL, &model));
+  assert_ok(convert(&t, "pvpca", "storage=f32", NULL, &wide));
+  assert_true(resident(model) < resident(wide));
+  compare(&t, wide, exact);
+  compare_between(&t, wide, exact);
+  btf_model_release(model);
+  btf_model_release(wide);
+  /* Of three components and the mean, bytes lose up to 1/254 of a texture's 1 times a weight of at most 1;
+   * the texture of the mean is 1 everywhere, which 127 is. */
+  assert_ok(convert(&t, "pvpca", "storage=q8 levels=1", NULL, &model));
+  compare(&t, model, 3 / 254.0 + exact);
+  btf_model_release(model);
+  end(&t);
+  begin(&t, &single);
+  assert_ok(convert(&t, "pvpca", "", NULL, &model));
+  assert_ok(convert(&t, "pvpca", "storage=f16", NULL, &wide));
+  assert_true(resident(wide) < resident(model)); /* a file of floats is kept in floats */
+  compare(&t, wide, exact);                      /* which are halves here */
+  btf_model_release(model);
+  btf_model_release(wide);
+  end(&t);
+}
+
+/* Every view as a sum of components too many, and at the limit. */
+static void test_many_in_a_view(void **state) {
+  (void)state;
+  conversion t;
+  btf_model *model;
+  bonn_case c = case_named("PVF");
+  c.lights = 30;
+  c.width = c.height = 9;
+  c.components = 63; /* and the mean */
+  begin(&t, &c);
+  assert_ok(convert(&t, "pvpca", "", NULL, &model));
+  compare(&t, model, exact);
+  btf_model_release(model);
+  end(&t);
+  c.components = 64;
+  begin(&t, &c);
+  assert_status(convert(&t, "pvpca", "", NULL, &model), BTF_E_UNSUPPORTED);
+  assert_message_has("65 components of view 0");
+  assert_null(model);
+  end(&t);
+}
+
+/* Area averages of the finest level, of a size that halves evenly: those of the samples. Four products and
+ * their mean round as the samples do; so do averages that halves hold, to 2^-11 of sums up to 4. */
+static void test_levels_of_views(void **state) {
+  (void)state;
+  conversion t;
+  btf_model *model;
+  bonn_case c = case_named("PVF");
+  c.width = c.height = 4;
+  begin(&t, &c);
+  assert_ok(convert(&t, "pvpca", "", NULL, &model));
+  btf_model_info info = BTF_MODEL_INFO_INIT;
+  assert_ok(btf_model_describe(model, &info));
+  assert_int_equal(info.levels, 3);
+  for (uint32_t v = 0; v < c.views; v++)
+    for (uint32_t l = 0; l < c.lights; l++)
+      for (uint32_t level = 1; level < 3; level++) {
+        const uint32_t side = 4u >> level, run = 1u << level;
+        for (uint32_t i = 0; i < side * side; i++) {
+          float texel[64];
+          assert_int_equal(btf_model_texel(model, level, i % side, i / side, l, v, texel), 0);
+          for (uint32_t k = 0; k < c.channels; k++) {
+            double mean = 0;
+            for (uint32_t y = 0; y < run; y++)
+              for (uint32_t x = 0; x < run; x++)
+                mean += bonn_case_sample(&c, v, l, i % side * run + x, i / side * run + y, k) / (run * run);
+            assert_near(texel[k], mean, 4 * 0x1p-11);
+          }
+        }
+      }
+  btf_model_release(model);
+  end(&t);
+}
+
+/* A model's factors are what it decodes, whatever its tables look like: fitted halves and bytes, the mean
+ * apart, colours on either side. Samples are up to 4 and a texel of a view has 15, so that no product of an
+ * eigenvector and its projection is beyond 4 * sqrt(15) < 16; up to 10 are added, rounded 4 times each. */
+static void test_factors_of_models(void **state) {
+  (void)state;
+  static const char *const fits[] = {"components=2", "components=2 color=texels storage=f32",
+                                     "components=3 storage=q8", "components=1 mean=false budget=adaptive",
+                                     "components=3 color=texels storage=q8 budget=adaptive"};
+  conversion t;
+  const bonn_case c = case_named("PVF");
+  begin(&t, &c);
+  btf_dataset *const measured = t.ds;
+  for (size_t i = 0; i < sizeof fits / sizeof *fits; i++) {
+    btf_model *fitted, *kept;
+    btf_options *options;
+    assert_ok(suite_options(t.ctx, "pvpca", fits[i], &options));
+    assert_ok(btf_model_fit(measured, btf_codec_find(t.ctx, "pvpca"), options, NULL, &fitted));
+    btf_options_release(options);
+    assert_ok(btf_dataset_from_model(fitted, &t.ds));
+    assert_ok(convert(&t, "pvpca", "", NULL, &kept));
+    for (uint32_t v = 0; v < c.views; v++)
+      for (uint32_t l = 0; l < c.lights; l++)
+        for (uint32_t y = 0; y < c.height; y++)
+          for (uint32_t x = 0; x < c.width; x++) {
+            float expected[64], got[64];
+            assert_int_equal(btf_model_texel(fitted, 0, x, y, l, v, expected), 0);
+            assert_int_equal(btf_model_texel(kept, 0, x, y, l, v, got), 0);
+            for (uint32_t k = 0; k < c.channels; k++) assert_near(got[k], expected[k], 10 * 16 * 0x1p-22);
+          }
+    if (i == 0) { /* halves stay halves: all columns are as wide as before, and the mean has weights now */
+      assert_true(resident(kept) < resident(fitted) + (uint64_t)c.views * (2u * c.channels * c.lights + 40));
+    }
+    btf_model_release(kept);
+    btf_model_release(fitted);
+    btf_dataset_release(t.ds);
+  }
+  t.ds = measured;
+  end(&t);
+}
+
+static void test_views_refusals(void **state) {
+  (void)state;
+  static const char *const of_fit[][2] = {
+      {"components=3", "components"}, {"psnr=40", "psnr"},
+      {"rmse=0.1", "rmse"},           {"max_components=9", "max_components"},
+      {"budget=adaptive", "budget"},  {"mean=false", "mean"},
+      {"color=texels", "color"}};
+  conversion t;
+  btf_model *model;
+  bonn_case c = case_named("PVF");
+  c.width = c.height = 64;
+  begin(&t, &c);
+  for (size_t i = 0; i < sizeof of_fit / sizeof *of_fit; i++) {
+    assert_status(convert(&t, "pvpca", of_fit[i][0], NULL, &model), BTF_E_INVALID_ARG);
+    assert_message_has(of_fit[i][1]);
+    assert_message_has("no effect");
+    assert_null(model);
+  }
+  btf_job job = BTF_JOB_INIT;
+  job.max_working_set = 65536;
+  assert_status(convert(&t, "pvpca", "", &job, &model), BTF_E_LIMIT);
+  assert_message_has("1 MiB would do");
+  job.max_working_set = 1 << 20;
+  assert_ok(convert(&t, "pvpca", "", &job, &model));
+  btf_model_release(model);
+  btf_dataset_release(t.ds);
+  bonn_bytes bytes = bonn_case_write(&c);
+  memset(bytes.data + bytes.size - 2, 0xff, 2);
+  test_write_bytes(t.path, bytes.data, bytes.size);
+  free(bytes.data);
+  assert_ok(btf_format_open(t.ctx, t.path, NULL, NULL, &t.ds));
+  assert_status(convert(&t, "pvpca", "", NULL, &model), BTF_E_CORRUPT);
+  assert_message_has("of view 3 is not finite");
+  assert_null(model);
+  end(&t);
+}
+
 int main(void) {
-  const struct CMUnitTest tests[] = {cmocka_unit_test(test_every_case), cmocka_unit_test(test_storage),
-                                     cmocka_unit_test(test_many_components),
-                                     cmocka_unit_test(test_not_finite)};
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(test_every_case),      cmocka_unit_test(test_storage),
+      cmocka_unit_test(test_many_components), cmocka_unit_test(test_not_finite),
+      cmocka_unit_test(test_views_storage),   cmocka_unit_test(test_many_in_a_view),
+      cmocka_unit_test(test_levels_of_views), cmocka_unit_test(test_factors_of_models),
+      cmocka_unit_test(test_views_refusals)};
   return btf_run("bonn_convert", tests);
 }

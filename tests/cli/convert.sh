@@ -62,6 +62,41 @@ END
   else
     skip "numpy reads the folder: no numpy"
   fi
+  # Each view by itself, as PVF: the same values and a mean of 1/4 a light.
+  python3 - <<'END'
+import struct
+u32 = lambda *v: struct.pack('<%dI' % len(v), *v)
+f32 = lambda *v: struct.pack('<%df' % len(v), *v)
+head = open('measured.jpg', 'rb').read()[8:-(1 + 4 * 4 + 4 * 36 + 4 * 6 + 4 * 3)]
+out = b'!PVF06FC' + head + u32(2, 3, 1, 3)
+for v in range(3):
+    out += bytes([4]) + u32(1, 6, 4 * 3) + f32(1) + f32(*[0.25 * (l + 1) for l in range(4) for c in range(3)])
+    out += f32(*[(l + 1) * (v + 1) for l in range(4) for c in range(3)])
+    out += f32(*[(10 * (2 - row) + x + 1) / 256 for row in range(3) for x in range(2)])
+open('views.btf', 'wb').write(out)
+END
+  if "$btf" codecs pvpca >/dev/null 2>&1; then
+    run convert views.btf views.btfz
+    expect "convert a file of views" 0 "views.btfz: pvpca"
+    run compare views.btf views.btfz --exact
+    expect "factors of views are kept as they are" 0 ""
+    printf '0 0 0 0\n1 2 3 2\n' >places.txt
+    run fetch views.btfz <places.txt
+    expect "means of views" 0 "0.25390625 0.25390625 0.25390625
+2.03125 2.03125 2.03125"
+    run convert views.btfz again.btfz -p storage=q8
+    expect "a container of views" 0 "again.btfz: pvpca"
+    run compare views.btf again.btfz --max-rmse 0.003
+    expect "bytes of views" 0 ""
+    run convert views.btf x.btfz -p components=3
+    expect "a parameter of a fit of views" 1 "components has no effect"
+    run convert measured.jpg x.btfz --to pvpca
+    expect "all views in one to pvpca" 5 "which fmf holds"
+  else
+    skip "convert: no pvpca"
+  fi
+  run convert views.btf x.btfz --to fmf
+  expect "views by themselves to fmf" 5 "each view"
   for family in fmf dfmf; do
     run convert kept.btfz written.btf --to bonn-btf -p family=$family -p scalar=float
     expect "write $family" 0 "written.btf: bonn-btf"
