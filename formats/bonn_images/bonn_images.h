@@ -124,4 +124,26 @@ btf_status images_plan_fills(images_file *file);
 btf_status images_read(void *user, const btf_block *block, void *dst, const btf_strides *strides);
 void images_close(images_file *file);
 
+/* ---- writing ---- */
+
+typedef enum image_kind { IMAGE_PNG8, IMAGE_PNG16, IMAGE_HDR } image_kind;
+typedef struct image_encoding {
+  const btf_host *host;
+  btf_context *ctx;
+  image_kind kind;
+  bool srgb; /* PNG: codes are of this curve, not linear */
+  uint32_t width, height, channels;
+  float factor; /* of the samples */
+} image_encoding;
+/* No file of such a picture has more bytes. */
+uint64_t images_encoded_most(const image_encoding *encoding);
+uint64_t images_row_bytes(const image_encoding *encoding);
+/* Dense samples, rows from the bottom, as a file in `bytes`, whose room is as above; `row` has room for a
+ * row. */
+void images_encode(const image_encoding *encoding, const float *samples, unsigned char *row,
+                   image_bytes *bytes, uint64_t *clipped, picture_fault *fault);
+extern const btf_param_desc *const images_write_params[];
+btf_status images_write(const btf_host *host, btf_context *ctx, const char *path, const btf_dataset *ds,
+                        const btf_options *options, const btf_job *job);
+
 #endif

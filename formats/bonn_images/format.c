@@ -263,4 +263,6 @@ const btf_format_vtbl btf_format_bonn_images = {.struct_size = sizeof(btf_format
                                                 .version = "1",
                                                 .params = params,
                                                 .probe = probe,
-                                                .open = open_images};
+                                                .open = open_images,
+                                                .write_params = images_write_params,
+                                                .write = images_write};

@@ -100,6 +100,9 @@ enum { BTF_TRANSPOSE_A = 1u << 0, BTF_TRANSPOSE_B = 1u << 1 };
 typedef struct btf_json btf_json;
 enum { BTF_JSON_NULL, BTF_JSON_BOOL, BTF_JSON_NUMBER, BTF_JSON_STRING, BTF_JSON_ARRAY, BTF_JSON_OBJECT };
 
+/** A folder that is being written. */
+typedef struct btf_new_folder btf_new_folder;
+
 /** Collects textures, numbers and shader text of one model while they are made ready for a GPU. */
 typedef struct btf_gpu_builder btf_gpu_builder;
 
@@ -272,6 +275,15 @@ typedef struct btf_host {
    * which close(user, 0) renames. Its write and close set errno. */
   btf_status (*dataset_factors)(const btf_dataset *ds, btf_factors *io);
   btf_status (*io_file)(btf_context *ctx, const char *path, uint32_t mode, btf_io *io);
+
+  /* A folder of files that appears complete or not at all. folder_begin makes it beside `path`, where nothing may be but
+   * a folder in which `is_own` is 1 for the name of every entry, and of one at least; `title` says in messages what
+   * that is. It and `is_own` are used until the end. folder_put writes a whole file. folder_end, called once, puts the
+   * folder in its place or, with `failed` or when that fails, removes it. Not from several threads at once. */
+  btf_status (*folder_begin)(btf_context *ctx, const char *path, const char *title, int32_t (*is_own)(const char *name),
+                             btf_new_folder **out);
+  btf_status (*folder_put)(btf_new_folder *folder, const char *name, const void *data, uint64_t size);
+  btf_status (*folder_end)(btf_new_folder *folder, int32_t failed);
 } btf_host;
 
 /** A codec. Copied at registration; optional slots may be NULL. Grows at its end only. `state` is what load made.

@@ -41,7 +41,8 @@ btf_status btfi_writer_pwrite(const btf_dataset_writer *w, const void *src, uint
 
 /* ---- the folder ---- */
 
-static bool find_files(btf_context *ctx, const char *path, btfi_buffer *files) {
+static bool find_files(btf_context *ctx, const btfi_folder_kind *kind, const char *path, btfi_buffer *files) {
+  (void)kind;
   char *file = NULL, *text = NULL, samples[NAME_MAX + 1];
   uint64_t size = 0;
   bool ours = false;

@@ -24,7 +24,8 @@ static bool is_texture_name(const char *name) {
          strspn(name, "abcdefghijklmnopqrstuvwxyz0123456789_") == strlen(name);
 }
 
-static bool find_files(btf_context *ctx, const char *path, btfi_buffer *files) {
+static bool find_files(btf_context *ctx, const btfi_folder_kind *kind, const char *path, btfi_buffer *files) {
+  (void)kind;
   char *file = NULL, *text = NULL;
   uint64_t size = 0;
   btfi_json *root = NULL;

@@ -40,7 +40,7 @@ int btfi_folder_stat(const char *path, struct stat *entry) {
 static bool is_of(btf_context *ctx, const btfi_folder_kind *kind, const char *path) {
   btfi_buffer files;
   btfi_buffer_init(&files, ctx);
-  const bool found = kind->find(ctx, path, &files);
+  const bool found = kind->find(ctx, kind, path, &files);
   btfi_buffer_free(&files);
   return found;
 }
@@ -158,7 +158,7 @@ static btf_status replace(btf_context *ctx, const btfi_folder_kind *kind, const 
   btfi_random random;
   btfi_buffer files;
   btfi_buffer_init(&files, ctx);
-  if (!kind->find(ctx, path, &files) || btfi_buffer_status(&files) != BTF_OK) {
+  if (!kind->find(ctx, kind, path, &files) || btfi_buffer_status(&files) != BTF_OK) {
     btfi_buffer_free(&files);
     return btfi_fail(ctx, BTF_E_IO, "%s: is no longer a %s; it is not replaced", path, kind->title);
   }

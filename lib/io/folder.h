@@ -16,7 +16,7 @@ int btfi_folder_stat(const char *path, struct stat *entry);
 typedef struct btfi_folder_kind {
   const char *title; /* "data-set folder" */
   /* Whether the folder is of this kind. Appends the names of its own files, each with its NUL. */
-  bool (*find)(btf_context *ctx, const char *path, btfi_buffer *files);
+  bool (*find)(btf_context *ctx, const struct btfi_folder_kind *kind, const char *path, btfi_buffer *files);
 } btfi_folder_kind;
 
 /* BTF_OK when nothing is at `path`, or a folder of the kind, which may be replaced. *exists may be NULL. */

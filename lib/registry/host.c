@@ -2,6 +2,7 @@
 /* The host table: what codecs and formats may call. */
 #include "dataset/dataset.h"
 #include "dataset/matrix.h"
+#include "io/new_folder.h"
 #include "registry/registry.h"
 #ifdef LIBBTF_FIT
 #include "dense/dense.h"
@@ -133,6 +134,9 @@ static const btf_host host = {
     .gpu_cost = btfi_gpu_cost,
     .dataset_factors = btf_dataset_factors,
     .io_file = btf_io_file,
+    .folder_begin = btfi_new_folder_begin,
+    .folder_put = btfi_new_folder_put,
+    .folder_end = btfi_new_folder_end,
 };
 
 const btf_host *btfi_host(void) {

@@ -105,6 +105,21 @@ END
   done
   run convert imported.btfd x.btf --to bonn-btf
   expect "samples as factors" 5 "holds samples"
+  if "$btf" convert --list | grep -q '^bonn-images' && "$btf" synth bumps -o table.btfd --size 4x4 --directions ubo81 -q 2>/dev/null; then
+    # Thousands of files: in memory, where they can be.
+    shelf=$(mktemp -d -p /dev/shm 2>/dev/null || mktemp -d -p "$work")
+    run convert table.btfd "$shelf/images" --to bonn-images
+    expect "write images" 0 "images: bonn-images"
+    run convert "$shelf/images" "$shelf/again" --to bonn-images
+    expect "write images anew" 0 "again: bonn-images"
+    diff -rq "$shelf/images" "$shelf/again" >/dev/null && pass || fail "images that were read come out again"
+    run convert measured.jpg "$shelf/other" --to bonn-images
+    expect "images of other directions" 5 "81 directions of ubo81"
+    [ "$(ls -A "$shelf" | tr '\n' ' ')" = "again images " ] && pass || fail "a failed conversion left something behind"
+    rm -rf "$shelf"
+  else
+    skip "convert: no images"
+  fi
   run convert measured.jpg x.btf --to bonn-btf -p cosine=inside
   expect "a parameter of reading" 1 "family, scalar"
   run convert measured.jpg x.btf --to bonn-btf --type f32
