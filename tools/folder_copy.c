@@ -34,6 +34,12 @@ static void put_block(void *user, const sample_visit *visit) {
   snprintf(copy->message, sizeof copy->message, "%s", btf_error_message());
 }
 
+/* A key that the manifest has for something else, which metadata of a container may bear, is left out. */
+static btf_status put_text(btf_dataset_writer *writer, const char *key, const char *text) {
+  const btf_status status = btf_dataset_writer_text(writer, key, text);
+  return status == BTF_E_INVALID_ARG ? BTF_OK : status;
+}
+
 static btf_status start(cli *c, const input *in, const char *path, uint32_t sample_type,
                         btf_dataset_writer **out) {
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
@@ -43,8 +49,8 @@ static btf_status start(cli *c, const input *in, const char *path, uint32_t samp
   desc.sample_type = sample_type;
   if (status == BTF_OK) status = btf_dataset_writer_create(c->context, path, &desc, BTF_ORDER_VLYXC, out);
   for (uint32_t i = 0; status == BTF_OK && notes != NULL && notes[i] != NULL; i += 2)
-    status = btf_dataset_writer_text(*out, notes[i], notes[i + 1]);
-  if (status == BTF_OK && command != NULL) status = btf_dataset_writer_text(*out, "command", command);
+    status = put_text(*out, notes[i], notes[i + 1]);
+  if (status == BTF_OK && command != NULL) status = put_text(*out, "command", command);
   free(command);
   return status;
 }

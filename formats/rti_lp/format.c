@@ -223,6 +223,7 @@ static btf_status open_file(const btf_host *host, btf_context *ctx, const char *
   desc.width = lp->info.width;
   desc.height = lp->info.height;
   desc.channels = lp->info.channels;
+  desc.wrap = BTF_WRAP_CLAMP;
   desc.sample_type = BTF_SAMPLE_F16;
   desc.quantity = BTF_QUANTITY_BRDF_COS;
   desc.flags = BTF_DATASET_IMAGE_MAJOR;

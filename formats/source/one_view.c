@@ -83,6 +83,7 @@ btf_status one_view_create(one_view *map, const btf_options *options, const char
   desc.width = map->width;
   desc.height = map->height;
   desc.channels = 3;
+  desc.wrap = BTF_WRAP_CLAMP; /* a photographed thing has no neighbours of its own kind */
   desc.quantity = BTF_QUANTITY_BRDF_COS;
   desc.flags = BTF_DATASET_CONCURRENT_READ;
   desc.name = name;

@@ -22,7 +22,8 @@ btf_status source_file_open(const btf_host *host, btf_context *ctx, const char *
   out->path = (host->alloc)(ctx, length, 1);
   if (out->path == NULL) return BTF_E_NOMEM;
   memcpy(out->path, path, length);
-  const int fd = open(path, O_RDONLY | O_CLOEXEC);
+  /* A pipe must not be waited for. */
+  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
   if (fd < 0) return fail_system(out);
   if (fstat(fd, &info) != 0 || !S_ISREG(info.st_mode)) {
     if (!S_ISREG(info.st_mode)) errno = EINVAL;

@@ -356,7 +356,7 @@ typedef struct btf_format_vtbl {
                      btf_dataset **out);
   const btf_param_desc *const *write_params; /**< for `write`; may be NULL */
   /** Optional: writes a data set, block by block within job->max_working_set, or the factors it has. What it writes
-   *  appears complete or not at all, and replaces nothing but a file (or folder) of its kind. Messages begin with the
+   *  appears complete or not at all, and replaces a file at the path, and a folder only if it is of its kind. Messages begin with the
    *  path; reports and cancelling by host->progress. */
   btf_status (*write)(const btf_host *host, btf_context *ctx, const char *path, const btf_dataset *ds,
                       const btf_options *options, const btf_job *job);

@@ -361,6 +361,7 @@ static btf_status parse_document(json_parser *j, btfi_json *root) {
 
 btf_status btfi_json_parse(btf_context *ctx, const char *name, const char *text, uint64_t size,
                            btfi_json **out) {
+  if (text == NULL) text = ""; /* of an empty file that was mapped */
   *out = NULL;
   /* Every value but the first follows an opening bracket or a comma. */
   uint64_t most_values = 1, value_bytes, total;
