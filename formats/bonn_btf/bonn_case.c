@@ -362,8 +362,11 @@ void bonn_case_angles(uint32_t i, uint32_t n, bool light, float *theta, float *p
 /* ---- writing ---- */
 
 static void put(bonn_bytes *b, const void *data, size_t n) {
-  b->data = realloc(b->data, b->size + n + 1);
-  if (b->data == NULL) abort();
+  if (b->size + n >= b->room) {
+    b->room = 2 * (b->size + n) + 256;
+    b->data = realloc(b->data, b->room);
+    if (b->data == NULL) abort();
+  }
   memcpy(b->data + b->size, data, n);
   b->size += n;
 }

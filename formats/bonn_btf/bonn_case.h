@@ -24,7 +24,7 @@ typedef struct bonn_case {
 
 typedef struct bonn_bytes {
   unsigned char *data; /* from malloc */
-  size_t size;
+  size_t size, room;
   size_t marks[64]; /* offsets of counts and sizes */
   uint32_t mark_count;
 } bonn_bytes;
