@@ -107,7 +107,8 @@ btf_status btfi_folder_make_beside(btf_context *ctx, const char *path, char **ou
 
 void btfi_folder_remove(btf_context *ctx, const char *folder, const char *files, uint64_t size) {
   /* Without the seam and without a result: nothing better can be done when cleaning up fails. */
-  for (const char *name = files; name < files + size; name += strlen(name) + 1) {
+  for (uint64_t at = 0; at < size; at += strlen(files + at) + 1) {
+    const char *name = files + at;
     char path[PATH_MAX];
     if (snprintf(path, sizeof path, "%s/%s", folder, name) < (int)sizeof path) unlink(path);
   }
@@ -116,9 +117,8 @@ void btfi_folder_remove(btf_context *ctx, const char *folder, const char *files,
 }
 
 static bool is_listed(const char *name, const btfi_buffer *files) {
-  const char *end = (const char *)files->data + files->size;
-  for (const char *file = (const char *)files->data; file < end; file += strlen(file) + 1)
-    if (strcmp(name, file) == 0) return true;
+  for (uint64_t at = 0; at < files->size; at += strlen((const char *)files->data + at) + 1)
+    if (strcmp(name, (const char *)files->data + at) == 0) return true;
   return false;
 }
 
