@@ -2,7 +2,7 @@
 /*
  * Exports of models as large as the papers': they fit what every driver takes, take no more memory than their
  * textures, and give in software GL what the model gives. What does not fit is refused with the limit and
- * what would do.
+ * what would do. Textures whose bytes a paper states have them.
  */
 #include "../btf_test.h"
 #include "../codec_cases.h"
@@ -214,6 +214,69 @@ static void cmf_of_256_entries(void **state) {
   btf_context_release(ctx);
 }
 
+/* Samples without any order, so that every level has all components. */
+static btf_status noise(void *user, const btf_block *b, void *dst, const btf_strides *s) {
+  (void)user;
+  for (uint32_t v = 0; v < b->views; v++)
+    for (uint32_t l = 0; l < b->lights; l++)
+      for (uint32_t y = 0; y < b->height; y++)
+        for (uint32_t x = 0; x < b->width; x++)
+          for (uint32_t c = 0; c < 3; c++) {
+            uint32_t at = ((((b->view0 + v) * 64 + b->light0 + l) * 64 + b->y0 + y) * 64 + b->x0 + x) * 4 + c;
+            at = (at ^ at >> 15) * 0x2c1b3c6du;
+            at = (at ^ at >> 12) * 0x297a2d39u;
+            *(float *)(void *)((char *)dst + (ptrdiff_t)v * s->view + (ptrdiff_t)l * s->light +
+                               (ptrdiff_t)y * s->y + (ptrdiff_t)x * s->x + (ptrdiff_t)c * s->channel) =
+                (float)(at >> 8) / 16777216.0f;
+          }
+  return BTF_OK;
+}
+
+/* Ma et al. 2005, sect. 3.3: 48 p q (lmax + 1) bytes and 64 r^2. */
+static void laplacian_maps_have_the_papers_bytes(void **state) {
+  enum { P = 8, Q = 6, R = 16 };
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
+  btf_model_info info = BTF_MODEL_INFO_INIT;
+  btf_dirset *lights, *views;
+  btf_options *options;
+  btf_context *ctx;
+  btf_dataset *ds;
+  btf_model *model;
+  btf_gpu_texture eigen, weights;
+  btf_gpu_export *e;
+  (void)state;
+  assert_ok(codec_case_context(&desc, &ctx));
+  const btf_codec *laplacian = btf_codec_find(ctx, "laplacian");
+  if (laplacian == NULL) skip();
+  assert_ok(btf_dirset_create_named(ctx, "grid:4x2", &lights));
+  assert_ok(btf_dirset_create_named(ctx, "grid:3x2", &views));
+  d.lights = lights;
+  d.views = views;
+  d.width = d.height = R;
+  d.channels = 3;
+  d.read = noise;
+  assert_ok(btf_dataset_create(ctx, &d, &ds));
+  assert_ok(btf_options_create(laplacian, &options));
+  assert_ok(btf_model_fit(ds, laplacian, options, NULL, &model));
+  assert_ok(btf_model_describe(model, &info));
+  assert_ok(btf_gpu_export_create(model, NULL, &e));
+  texture_named(e, "btf_eigen_map", &eigen);
+  texture_named(e, "btf_weights_map", &weights);
+  print_message("laplacian: %u levels, %llu and %llu bytes\n", info.levels,
+                (unsigned long long)eigen.levels[0].size, (unsigned long long)weights.levels[0].size);
+  assert_true(info.levels > 1 && eigen.levels[0].size == 48u * P * Q * info.levels);
+  assert_true(weights.levels[0].size == 64u * R * R && weights.width == 2 * R && weights.height == 2 * R);
+  assert_true(eigen.level_count == 1 && weights.level_count == 1);
+  btf_gpu_export_release(e);
+  btf_model_release(model);
+  btf_options_release(options);
+  btf_dataset_release(ds);
+  btf_dirset_release(lights);
+  btf_dirset_release(views);
+  btf_context_release(ctx);
+}
+
 /* ---- refusals ---- */
 
 static void refusals_say_what_would_do(void **state) {
@@ -301,8 +364,8 @@ static void refusals_say_what_would_do(void **state) {
 }
 
 int main(void) {
-  const struct CMUnitTest tests[] = {cmocka_unit_test(fmf_as_large_as_the_papers),
-                                     cmocka_unit_test(cmf_of_256_entries),
-                                     cmocka_unit_test(refusals_say_what_would_do)};
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(fmf_as_large_as_the_papers), cmocka_unit_test(cmf_of_256_entries),
+      cmocka_unit_test(laplacian_maps_have_the_papers_bytes), cmocka_unit_test(refusals_say_what_would_do)};
   return btf_run("gpu_limits", tests);
 }
