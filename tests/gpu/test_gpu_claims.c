@@ -1,11 +1,16 @@
 /* SPDX-License-Identifier: MIT */
 /*
  * What exports say of themselves against what their shaders do in software GL: texels and bytes read, counted
- * by the shader at run time; weights of a raster's texels, computed anew; and queries that are not finite.
+ * by the shader at run time; weights of a raster's texels, computed anew; queries that are not
+ * finite; and slices of a stack that the sampler filters.
  */
 #include "../btf_test.h"
 #include "../codec_cases.h"
+#include "../copy_codec.h"
 #include "gl_host.h"
+
+#include <btf/btf_codec.h>
+#include <btf/btf_half.h>
 
 enum { QUERIES = 2048 };
 
@@ -334,9 +339,89 @@ static void what_is_not_finite_is_black(void **state) {
   each_layout(MATERIAL_SMOOTH, compare_strange);
 }
 
+/* ---- stacks that the sampler filters ---- */
+
+enum { EDGE = 4, SLICES = 5 };
+
+/* Exact in halves, and very different from one slice to the next. */
+static float stack_value(uint32_t slice, uint32_t x, uint32_t y) {
+  return (float)(1 + x + EDGE * y) * (slice % 2 == 0 ? 1.0f : 64.0f);
+}
+
+/* The slice is what a query has as its level of detail. */
+static btf_status stack_gpu(const btf_host *host, btf_context *ctx, const void *state,
+                            const btf_model_shape *shape, uint32_t layout, const btf_gpu_target *target,
+                            btf_gpu_builder *out) {
+  const btf_gpu_table table = {.struct_size = sizeof table,
+                               .name = "btf_stack",
+                               .texel = BTF_TEXEL_R16_FLOAT,
+                               .width = EDGE,
+                               .height = EDGE,
+                               .slices = SLICES,
+                               .levels = 1,
+                               .wrap = BTF_WRAP_CLAMP,
+                               .flags = BTF_GPU_STACK | BTF_GPU_FILTERED};
+  uint32_t number;
+  (void)ctx, (void)state, (void)shape, (void)layout, (void)target;
+  BTF_TRY(host->gpu_table(out, &table, &number));
+  for (uint32_t slice = 0; slice < SLICES; slice++) {
+    uint16_t *texels = host->gpu_slice(out, number, 0, slice);
+    for (uint32_t i = 0; i < EDGE * EDGE; i++)
+      texels[i] = btf_float_to_half(stack_value(slice, i % EDGE, i / EDGE));
+  }
+  return host->gpu_source(
+      out,
+      "vec3 btf_stored(vec3 light, vec3 view, vec2 uv, float lod) {\n"
+      "  ivec2 at = ivec2(uv * %d.0);\n"
+      "  return vec3(btf_stack_at(uv, int(lod), 0.0).r, btf_stack(at.x, at.y, int(lod), 0).r,\n"
+      "              btf_stack_at(uv + vec2(0.5 / %d.0, 0.0), int(lod), 0.0).r);\n"
+      "}\n",
+      EDGE, EDGE);
+}
+
+static void filtered_slices_do_not_mix(void **state) {
+  static const btf_gpu_layout_desc stack = {"stack", "for a test"};
+  static const btf_gpu_layout_desc *const layouts[] = {&stack, NULL};
+  const btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
+  btf_codec_vtbl codec = copy_codec;
+  btf_gpu_export *e;
+  btf_context *ctx;
+  btf_model *model;
+  const char *why;
+  (void)state;
+  gl_host *host = gl_host_open(GL_ES_300, &why);
+  if (host == NULL) skip();
+  codec.id = "org.libbtf.stack";
+  codec.gpu_layouts = layouts;
+  codec.gpu = stack_gpu;
+  assert_ok(btf_context_create(&desc, &ctx));
+  assert_ok(btf_context_register(ctx, &codec));
+  btf_dataset *ds = copy_codec_dataset(ctx, EDGE, EDGE, 3, BTF_QUANTITY_BRDF);
+  assert_ok(btf_model_fit(ds, btf_codec_find(ctx, codec.id), NULL, NULL, &model));
+  assert_ok(btf_gpu_export_create(model, NULL, &e));
+  for (uint32_t i = 0; i < QUERIES; i++) {
+    btf_query q = codec_case_plain_query(i, (float)(i / (EDGE * EDGE) % SLICES));
+    q.uv[0] = ((float)(i % EDGE) + 0.5f) / EDGE;
+    q.uv[1] = ((float)(i / EDGE % EDGE) + 0.5f) / EDGE;
+    take_query(i, &q);
+  }
+  evaluate(host, e, NULL);
+  for (uint32_t i = 0; i < QUERIES; i++) {
+    const uint32_t slice = i / (EDGE * EDGE) % SLICES, x = i % EDGE, y = i / EDGE % EDGE;
+    const float next = stack_value(slice, x + 1 < EDGE ? x + 1 : x, y);
+    assert_true(got[i][0] == stack_value(slice, x, y) && got[i][1] == got[i][0]);
+    assert_true(got[i][2] == 0.5f * (got[i][0] + next)); /* which the sampler alone can make */
+  }
+  btf_gpu_export_release(e);
+  btf_model_release(model);
+  btf_dataset_release(ds);
+  btf_context_release(ctx);
+  gl_host_close(host);
+}
+
 int main(void) {
-  const struct CMUnitTest tests[] = {cmocka_unit_test(costs_are_what_shaders_read),
-                                     cmocka_unit_test(rasters_have_the_weights_of_centres),
-                                     cmocka_unit_test(what_is_not_finite_is_black)};
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(costs_are_what_shaders_read), cmocka_unit_test(rasters_have_the_weights_of_centres),
+      cmocka_unit_test(filtered_slices_do_not_mix), cmocka_unit_test(what_is_not_finite_is_black)};
   return btf_run("gpu_claims", tests);
 }
