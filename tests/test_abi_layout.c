@@ -119,7 +119,7 @@ GROWABLE(btf_gpu_cost, rounding, 40, 40);
 GROWABLE(btf_gpu_table, reserved, 48, 48);
 GROWABLE(btf_plugin_info, host_size_needed, 40, 56);
 GROWABLE(btf_format_vtbl, open, 56, 72);
-GROWABLE(btf_host, mip_filter, 224, 488);
+GROWABLE(btf_host, mip_filter, 224, 496);
 
 AT(btf_codec_vtbl, abi, 4);
 AT(btf_plugin_info, abi, 4);

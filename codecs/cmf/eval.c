@@ -124,11 +124,7 @@ static void get_scales(const btfi_cmf_state *s, uint32_t level, uint64_t texel, 
     for (uint32_t i = 0; i < count; i++) out[i] = (float)bytes[i] * (1.0f / 255.0f) * s->global[i];
   } else if (s->storage == CMF_F16) {
     const unsigned char *bytes = s->scale[level] + 2 * texel * count;
-    for (uint32_t i = 0; i < count; i++) {
-      uint16_t half;
-      memcpy(&half, bytes + 2 * (size_t)i, sizeof half);
-      out[i] = btf_half_to_float(half) * s->global[i];
-    }
+    for (uint32_t i = 0; i < count; i++) out[i] = btf_half_at(bytes, i) * s->global[i];
   } else {
     memcpy(out, s->scale[level] + 4 * texel * count, count * sizeof *out);
     for (uint32_t i = 0; i < count; i++) out[i] *= s->global[i];

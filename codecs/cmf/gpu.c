@@ -331,8 +331,6 @@ static btf_status put_texel(exporting *e) {
 }
 
 static btf_status put_shader(exporting *e) {
-  static const char *const results[] = {"vec3(sum.x)", "vec3(sum.xy, 0.0)", "sum"};
-  const uint32_t shown = e->s->channels < 3 ? e->s->channels : 3;
   const bool rotated = e->s->angle[0] != NULL;
   BTF_TRY(put_texel(e));
   return e->host->gpu_source(
@@ -345,9 +343,8 @@ static btf_status put_shader(exporting *e) {
       "    float weight;\n"
       "    ivec3 texel = btf_place_texel(place, i, weight);\n"
       "    if (weight > 0.0) sum += weight * btf_texel(%s, texel.x, texel.y, texel.z);\n"
-      "  }\n  return %s;\n}\n",
-      rotated ? "" : "  btf_taps t[4];\n  btf_project(light, view, t);\n", rotated ? "light, view" : "t",
-      results[shown - 1]);
+      "  }\n  return sum;\n}\n",
+      rotated ? "" : "  btf_taps t[4];\n  btf_project(light, view, t);\n", rotated ? "light, view" : "t");
 }
 
 /* ---- the export ---- */

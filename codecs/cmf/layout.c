@@ -58,9 +58,7 @@ void btfi_cmf_restore(uint32_t storage, bool has_sign, const unsigned char *src,
     if (storage == CMF_U8) {
       values[i] = (float)src[i] * gain + offset;
     } else if (storage == CMF_F16) {
-      uint16_t half;
-      memcpy(&half, src + 2 * i, sizeof half);
-      values[i] = btf_half_to_float(half);
+      values[i] = btf_half_at(src, i);
     } else {
       memcpy(&values[i], src + 4 * i, sizeof *values);
     }

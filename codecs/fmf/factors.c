@@ -176,8 +176,7 @@ static float table_value(uint32_t storage, const unsigned char *p) {
   float value;
   switch (storage) {
   case FMF_F16:
-    memcpy(&half, p, sizeof half);
-    return btf_half_to_float(half);
+    return btf_half_at(p, 0);
   case FMF_BF16:
     memcpy(&half, p, sizeof half);
     bits = (uint32_t)half << 16;

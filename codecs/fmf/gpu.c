@@ -4,13 +4,17 @@
  * comes a dot product for each channel. */
 #include "fmf.h"
 
+#include <math.h>
 #include <string.h>
 
 #include <btf/btf_half.h>
 
+enum { RGBA = 0, RASTER = 1 };
 static const btf_gpu_layout_desc rgba = {"rgba",
                                          "four components in a texel; halves are filtered by the sampler"};
-const btf_gpu_layout_desc *const btfi_fmf_gpu_layouts[] = {&rgba, NULL};
+static const btf_gpu_layout_desc raster = {
+    "raster", "the same with samples and weights of directions from maps, as in the paper"};
+const btf_gpu_layout_desc *const btfi_fmf_gpu_layouts[] = {&rgba, &raster, NULL};
 
 /* Texels that hold the values of a storage without loss; bfloat16 loses what is below 2^-25 of the largest.
  */
@@ -91,7 +95,6 @@ static btf_status put_v(const btf_host *host, const btfi_fmf_state *s, bool filt
 
 static btf_status put_shader(const btf_host *host, uint32_t groups, uint32_t channels, bool filtered,
                              btf_gpu_builder *b) {
-  static const char *const results[] = {"vec3(sum.x)", "vec3(sum.xy, 0.0)", "sum"};
   BTF_TRY(host->gpu_source(b, "vec3 btf_stored(vec3 light, vec3 view, vec2 uv, float lod) {\n"
                               "  ivec3 l, v;\n"
                               "  vec3 lw, vw, sum = vec3(0.0);\n"
@@ -108,7 +111,7 @@ static btf_status put_shader(const btf_host *host, uint32_t groups, uint32_t cha
                              " lw.y * btf_u(l.y, v[j], %u + g, 0) + lw.z * btf_u(l.z, v[j], %u + g, 0));\n"
                              "    sum[%u] += dot(row%u, texel);\n",
                              c, c, c * groups, c * groups, c * groups, c, c));
-  return host->gpu_source(b, "  }\n  return %s;\n}\n", results[channels - 1]);
+  return host->gpu_source(b, "  }\n  return sum;\n}\n");
 }
 
 /* Signed bytes come from a texture as 127ths. */
@@ -121,6 +124,88 @@ static btf_status put_scale(const btf_host *host, const btfi_fmf_state *s, uint3
   return host->gpu_uniform(b, "btf_scale", BTF_UNIFORM_VEC4, groups > 1 ? groups : 2, scale);
 }
 
+/* ---- what weights from maps cost ---- */
+
+/* Rows of both sides times the square roots of their columns' scales: a value is the product of one of U and
+ * one of V, so that two rows of U make values that differ by at most their distance times the length of V's
+ * row. Rows have the order of the kernels, which no length depends on. */
+typedef struct rooted {
+  const btfi_fmf_state *s;
+  float root[FMF_MAX_COLUMNS];
+} rooted;
+
+static void root_row(const rooted *r, const unsigned char *row, float *out) {
+  const btfi_fmf_rows rows = {.row = {row}, .weight = {1.0f}, .count = 1};
+  r->s->blend(&rows, r->s->layout.padded, r->root, out);
+}
+
+/* Of the longest row of V. Blends of texels are no longer. */
+static double longest_texel(const rooted *r) {
+  const btfi_fmf_layout *l = &r->s->layout;
+  float row[FMF_MAX_COLUMNS];
+  double longest = 0.0;
+  for (uint32_t level = 0; level < l->levels; level++)
+    for (uint32_t y = 0; y < l->level_height[level]; y++)
+      for (uint32_t x = 0; x < l->level_width[level]; x++) {
+        double squares = 0.0;
+        root_row(r, r->s->v[level] + y * l->v_line_bytes[level] + x * l->v_texel_bytes, row);
+        for (uint32_t k = 0; k < l->padded; k++) squares += (double)row[k] * (double)row[k];
+        longest = fmax(longest, squares);
+      }
+  return sqrt(longest);
+}
+
+/* The largest distance of `count` rows of U from their mean; two of them are twice as far apart at most. */
+static double radius(const rooted *r, const unsigned char *first, uint64_t step, uint32_t count) {
+  const uint32_t padded = r->s->layout.padded;
+  float row[FMF_MAX_COLUMNS];
+  double mean[FMF_MAX_COLUMNS] = {0.0}, largest = 0.0;
+  for (uint32_t i = 0; i < count; i++) {
+    root_row(r, first + i * step, row);
+    for (uint32_t k = 0; k < padded; k++) mean[k] += (double)row[k] / count;
+  }
+  for (uint32_t i = 0; i < count; i++) {
+    double squares = 0.0;
+    root_row(r, first + i * step, row);
+    for (uint32_t k = 0; k < padded; k++) squares += ((double)row[k] - mean[k]) * ((double)row[k] - mean[k]);
+    largest = fmax(largest, squares);
+  }
+  return sqrt(largest);
+}
+
+/* The most that rounded weights make of any value: first the lights' are exchanged, then the views'. */
+static double largest_rounding(const btfi_fmf_state *s, uint32_t channels, double light_shift,
+                               double view_shift) {
+  const btfi_fmf_layout *l = &s->layout;
+  const uint64_t view_bytes = l->lights * l->u_row_bytes;
+  double light_radius = 0.0, view_radius = 0.0;
+  rooted r = {.s = s};
+  for (uint32_t k = 0; k < l->padded; k++) r.root[k] = sqrtf(fabsf(s->scale[k]));
+  for (uint32_t c = 0; c < channels; c++) {
+    const unsigned char *u = s->u + c * s->channel_bytes;
+    for (uint32_t v = 0; v < l->views; v++)
+      light_radius = fmax(light_radius, radius(&r, u + v * view_bytes, l->u_row_bytes, l->lights));
+    for (uint32_t i = 0; i < l->lights; i++)
+      view_radius = fmax(view_radius, radius(&r, u + i * l->u_row_bytes, view_bytes, l->views));
+  }
+  return 2.0 * longest_texel(&r) * (light_shift * light_radius + view_shift * view_radius);
+}
+
+static btf_status put_directions(const btf_host *host, const btfi_fmf_state *s, const btf_model_shape *shape,
+                                 uint32_t layout, uint32_t channels, btf_gpu_builder *out) {
+  btf_gpu_cost cost = BTF_GPU_COST_INIT;
+  double light_shift, view_shift;
+  if (layout == RGBA) {
+    BTF_TRY(host->gpu_directions(out, "light", shape->lights));
+    return host->gpu_directions(out, "view", shape->views);
+  }
+  BTF_TRY(host->gpu_direction_maps(out, "light", shape->lights, &light_shift));
+  BTF_TRY(host->gpu_direction_maps(out, "view", shape->views, &view_shift));
+  cost.rounding = largest_rounding(s, channels, light_shift, view_shift);
+  host->gpu_cost(out, &cost);
+  return BTF_OK;
+}
+
 btf_status btfi_fmf_gpu(const btf_host *host, btf_context *ctx, const void *state,
                         const btf_model_shape *shape, uint32_t layout, const btf_gpu_target *target,
                         btf_gpu_builder *out) {
@@ -131,9 +216,8 @@ btf_status btfi_fmf_gpu(const btf_host *host, btf_context *ctx, const void *stat
   const bool filtered = l->storage == FMF_F16 || l->storage == FMF_BF16;
   const double texels = (9.0 * channels + (filtered ? 1 : 4)) * groups;
   btf_gpu_cost cost = BTF_GPU_COST_INIT;
-  (void)ctx, (void)layout, (void)target;
-  BTF_TRY(host->gpu_directions(out, "light", shape->lights));
-  BTF_TRY(host->gpu_directions(out, "view", shape->views));
+  (void)ctx, (void)target;
+  BTF_TRY(put_directions(host, s, shape, layout, channels, out));
   BTF_TRY(put_u(host, s, channels, out));
   BTF_TRY(put_v(host, s, filtered, out));
   BTF_TRY(put_scale(host, s, groups, out));

@@ -122,7 +122,7 @@ static btf_status put_albedo(const btf_host *host, const selection *sel, uint32_
            : group == 1 ? host->gpu_source(b, "vec3(0.0, %s, 0.0)", x)
                         : host->gpu_source(b, "vec3(0.0, 0.0, %s)", x);
   }
-  if (sel->group_channels == 1) return host->gpu_source(b, "vec3(%s)", x);
+  if (sel->group_channels == 1) return host->gpu_source(b, "vec3(%s, 0.0, 0.0)", x);
   if (sel->group_channels == 2) return host->gpu_source(b, "vec3(%s, %s, 0.0)", x, value_name(at + 1, y));
   return host->gpu_source(b, "vec3(%s, %s, %s)", x, value_name(at + 1, y), value_name(at + 2, z));
 }

@@ -68,12 +68,8 @@ static void dots(const float *a, size_t a_ld, uint32_t a_count, const float *b, 
 /* ---- evaluation ---- */
 
 static float value_at(uint32_t storage, const unsigned char *record, uint32_t i) {
-  if (storage == LAF_F16) {
-    uint16_t half;
-    memcpy(&half, record + 2 * (size_t)i, sizeof half);
-    return btf_half_to_float(half);
-  }
   float value;
+  if (storage == LAF_F16) return btf_half_at(record, i);
   memcpy(&value, record + 4 * (size_t)i, sizeof value);
   return value;
 }

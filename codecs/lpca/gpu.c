@@ -49,14 +49,7 @@ static uint32_t cluster_of(const btfi_lpca_state *s, uint32_t level, uint64_t te
 }
 
 static float value_at(uint32_t storage, const unsigned char *src, uint32_t i) {
-  float value;
-  uint16_t half;
-  if (storage == LPCA_F32) {
-    memcpy(&value, src + 4 * (size_t)i, sizeof value);
-    return value;
-  }
-  memcpy(&half, src + 2 * (size_t)i, sizeof half);
-  return btf_half_to_float(half);
+  return storage == LPCA_F32 ? btf_get_f32(src + 4 * (size_t)i) : btf_half_at(src, i);
 }
 
 /* ---- what texels have ---- */
@@ -211,7 +204,6 @@ static btf_status put_cluster_text(exporting *e) {
 }
 
 static btf_status put_shader(exporting *e) {
-  static const char *const results[] = {"vec3(sum.x)", "vec3(sum.xy, 0.0)", "sum"};
   BTF_TRY(e->host->gpu_source(
       e->out,
       "vec3 btf_stored(vec3 light, vec3 view, vec2 uv, float lod) {\n"
@@ -229,8 +221,10 @@ static btf_status put_shader(exporting *e) {
       "  }\n"
       "  for (int i = 0; i < 8; ++i) {\n"
       "    texels[i] = btf_place_texel(place, i, weights[i]);\n"
+      "    clusters[i] = -1;\n"
+      "    if (!(weights[i] > 0.0)) continue;\n"
       "    ivec2 id = ivec2(btf_cluster(texels[i].x, texels[i].y, 0, texels[i].z).rg * 255.0 + 0.5);\n"
-      "    clusters[i] = weights[i] > 0.0 ? id.x + 256 * id.y : -1;\n"
+      "    clusters[i] = id.x + 256 * id.y;\n"
       "  }\n"
       "  for (int i = 0; i < 8; ++i) {\n"
       "    int cluster = clusters[i];\n"
@@ -239,11 +233,9 @@ static btf_status put_shader(exporting *e) {
       "    for (int k = i; k < 8; ++k)\n"
       "      if (clusters[k] == cluster) total += weights[k];\n"));
   BTF_TRY(put_cluster_text(e));
-  return e->host->gpu_source(e->out,
-                             "    for (int k = i; k < 8; ++k)\n"
-                             "      if (clusters[k] == cluster) clusters[k] = -1;\n"
-                             "  }\n  return %s;\n}\n",
-                             results[e->shown - 1]);
+  return e->host->gpu_source(e->out, "    for (int k = i; k < 8; ++k)\n"
+                                     "      if (clusters[k] == cluster) clusters[k] = -1;\n"
+                                     "  }\n  return sum;\n}\n");
 }
 
 /* ---- the export ---- */

@@ -11,9 +11,7 @@ static float read_f32(const unsigned char *values, uint64_t i) {
 }
 
 static float read_f16(const unsigned char *values, uint64_t i) {
-  uint16_t half;
-  memcpy(&half, values + 2 * i, sizeof half);
-  return btf_half_to_float(half);
+  return btf_half_at(values, i);
 }
 
 static float read_q8(const unsigned char *values, uint64_t i) {

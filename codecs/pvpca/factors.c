@@ -293,13 +293,11 @@ btf_status btfi_pvpca_from_factors(const btf_host *host, btf_context *ctx, const
 /* ---- factors of a state ---- */
 
 static float table_value(uint32_t storage, const unsigned char *table, uint64_t i) {
-  uint16_t half;
   float value;
   int8_t byte;
   switch (storage) {
   case PVPCA_F16:
-    memcpy(&half, table + 2 * i, sizeof half);
-    return btf_half_to_float(half);
+    return btf_half_at(table, i);
   case PVPCA_Q8:
     memcpy(&byte, table + i, sizeof byte);
     return (float)byte;

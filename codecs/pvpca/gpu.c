@@ -59,14 +59,8 @@ static btf_status put_views(exporting *e, uint32_t *slices) {
 /* ---- weights ---- */
 
 static float weight_at(const btfi_pvpca_state *s, const unsigned char *row, uint32_t i) {
-  float value;
-  uint16_t half;
-  if (btfi_pvpca_weight_storage(s->layout.storage) == PVPCA_F32) {
-    memcpy(&value, row + 4 * (size_t)i, sizeof value);
-    return value;
-  }
-  memcpy(&half, row + 2 * (size_t)i, sizeof half);
-  return btf_half_to_float(half);
+  return btfi_pvpca_weight_storage(s->layout.storage) == PVPCA_F32 ? btf_get_f32(row + 4 * (size_t)i)
+                                                                   : btf_half_at(row, i);
 }
 
 /* The scaled weights of a view and a channel, one texel of four columns for each light. Signed bytes come
@@ -160,7 +154,6 @@ static btf_status put_blend(exporting *e, uint32_t channel) {
 }
 
 static btf_status put_shader(exporting *e) {
-  static const char *const results[] = {"vec3(sum.x)", "vec3(sum.xy, 0.0)", "sum"};
   const bool by_light = e->s->layout.color == PVPCA_COLOR_LIGHTS;
   const char *before = e->filtered ? "btf_textures_at(uv, " : "btf_textures_mix(place, ";
   const char *after = e->filtered ? ", lod)" : ")";
@@ -189,7 +182,7 @@ static btf_status put_shader(exporting *e) {
           e->host->gpu_source(e->out, "      texel = %slayers.x + %u * layers.y + g%s;\n", before, c, after));
     BTF_TRY(e->host->gpu_source(e->out, "      sum[%u] += vw[j] * dot(row, texel);\n", c));
   }
-  return e->host->gpu_source(e->out, "    }\n  }\n  return %s;\n}\n", results[e->shown - 1]);
+  return e->host->gpu_source(e->out, "    }\n  }\n  return sum;\n}\n");
 }
 
 /* With as many columns as a view has on average. */

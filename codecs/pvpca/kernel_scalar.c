@@ -13,9 +13,7 @@ static float read_f32(const unsigned char *row, uint32_t i) {
 }
 
 static float read_f16(const unsigned char *row, uint32_t i) {
-  uint16_t half;
-  memcpy(&half, row + 2 * (size_t)i, sizeof half);
-  return btf_half_to_float(half);
+  return btf_half_at(row, i);
 }
 
 static float read_q8(const unsigned char *row, uint32_t i) {

@@ -28,6 +28,13 @@ static inline float btf_half_to_float(uint16_t half) {
   return value;
 }
 
+/** Value i of halves at an address of any alignment. */
+static inline float btf_half_at(const void *halves, uint64_t i) {
+  uint16_t half;
+  memcpy(&half, (const unsigned char *)halves + 2 * i, sizeof half);
+  return btf_half_to_float(half);
+}
+
 static inline uint16_t btf_float_to_half(float value) {
   uint32_t bits, magnitude;
   uint16_t sign;

@@ -263,7 +263,7 @@ typedef struct btf_host {
    * for a set of directions; equal sets share textures. gpu_cost adds to what their search costs.
    * gpu_source appends shader text; it defines
    *   vec3 btf_stored(vec3 light, vec3 view, vec2 uv, float lod)
-   * and may call what docs/gpu-export.md lists. */
+   * and may call what docs/gpu-export.md lists. Of a model of fewer than three channels only those are used. */
   btf_status (*gpu_table)(btf_gpu_builder *b, const btf_gpu_table *table, uint32_t *number);
   void *(*gpu_slice)(btf_gpu_builder *b, uint32_t number, uint32_t level, uint32_t slice);
   btf_status (*gpu_uniform)(btf_gpu_builder *b, const char *name, uint32_t type, uint32_t count, const void *values);
@@ -284,6 +284,11 @@ typedef struct btf_host {
                              btf_new_folder **out);
   btf_status (*folder_put)(btf_new_folder *folder, const char *name, const void *data, uint64_t size);
   btf_status (*folder_end)(btf_new_folder *folder, int32_t failed);
+
+  /* gpu_directions with samples and weights from maps, those at the nearest texel's centre: *shift = the most weight, of
+   * 1, that then lies on other samples than it should. What the weights of a set blend is off by no more than shift times
+   * the largest difference between two of its samples' values. */
+  btf_status (*gpu_direction_maps)(btf_gpu_builder *b, const char *name, const btf_dirset *set, double *shift);
 } btf_host;
 
 /** A codec. Copied at registration; optional slots may be NULL. Grows at its end only. `state` is what load made.

@@ -41,20 +41,20 @@ btf_status btfi_writer_pwrite(const btf_dataset_writer *w, const void *src, uint
 
 /* ---- the folder ---- */
 
-static bool find_files(btf_context *ctx, const btfi_folder_kind *kind, const char *path, btfi_buffer *files) {
+static btf_status find_files(btf_context *ctx, const btfi_folder_kind *kind, const char *path,
+                             btfi_buffer *files) {
   (void)kind;
   char *file = NULL, *text = NULL, samples[NAME_MAX + 1];
   uint64_t size = 0;
-  bool ours = false;
-  if (btfi_path_join(ctx, path, BTFI_MANIFEST_FILE, &file) != BTF_OK) return false;
-  if (btfi_read_file(ctx, file, btfi_manifest_most_bytes, &text, &size) == BTF_OK)
-    ours = btfi_manifest_is_ours(ctx, file, text, size, samples, sizeof samples);
+  BTFI_TRY(btfi_path_join(ctx, path, BTFI_MANIFEST_FILE, &file));
+  btf_status status = btfi_read_file(ctx, file, btfi_manifest_most_bytes, &text, &size);
+  if (status == BTF_OK) status = btfi_manifest_is_ours(ctx, file, text, size, samples, sizeof samples);
   btfi_free(ctx, text);
   btfi_free(ctx, file);
-  if (!ours) return false;
+  if (status != BTF_OK) return status;
   btfi_put_bytes(files, BTFI_MANIFEST_FILE, sizeof BTFI_MANIFEST_FILE);
   btfi_put_bytes(files, samples, strlen(samples) + 1);
-  return true;
+  return BTF_OK;
 }
 
 static const btfi_folder_kind folder_kind = {"data-set folder", find_files};

@@ -257,14 +257,14 @@ void btfi_manifest_free(btfi_manifest *m) {
   memset(m, 0, sizeof *m);
 }
 
-bool btfi_manifest_is_ours(btf_context *ctx, const char *label, const char *text, uint64_t size,
-                           char *samples, size_t samples_size) {
+btf_status btfi_manifest_is_ours(btf_context *ctx, const char *label, const char *text, uint64_t size,
+                                 char *samples, size_t samples_size) {
   btfi_json *root;
-  if (btfi_json_parse(ctx, label, text, size, &root) != BTF_OK) return false;
+  BTFI_TRY(btfi_json_parse(ctx, label, text, size, &root));
   const char *format = btfi_json_string(btfi_json_get(root, "format"));
   const char *file = btfi_json_string(btfi_json_get(root, "samples"));
   const bool ours = format && strcmp(format, BTFI_MANIFEST_FORMAT) == 0;
   snprintf(samples, samples_size, "%s", file && is_plain_file_name(file) ? file : "samples.bin");
   btfi_json_free(root);
-  return ours;
+  return ours ? BTF_OK : BTF_E_INVALID_ARG;
 }

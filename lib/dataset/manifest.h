@@ -29,9 +29,9 @@ typedef struct btfi_manifest {
 btf_status btfi_manifest_parse(btf_context *ctx, const char *label, const char *text, uint64_t size,
                                btfi_manifest *out);
 void btfi_manifest_free(btfi_manifest *m);
-/* Whether a text is the manifest of some version of this format, and what its samples file is called. */
-bool btfi_manifest_is_ours(btf_context *ctx, const char *label, const char *text, uint64_t size,
-                           char *samples, size_t samples_size);
+/* BTF_OK if a text is the manifest of some version of this format; what its samples file is called. */
+btf_status btfi_manifest_is_ours(btf_context *ctx, const char *label, const char *text, uint64_t size,
+                                 char *samples, size_t samples_size);
 
 /* A custom text of the manifest that is being written. */
 typedef struct btfi_manifest_text {

@@ -80,9 +80,11 @@ static bool measure_levels(btfi_gpu_texture *texture, uint64_t *total) {
 static btf_status make_texture(btf_gpu_builder *b, const btf_gpu_table *t, const char *name,
                                uint32_t slices) {
   if (b->texture_count == b->target.max_textures || b->texture_count == BTFI_GPU_TEXTURES)
-    return too_large(b, name, "textures before it", b->texture_count,
-                     BTFI_MIN(b->target.max_textures, (uint32_t)BTFI_GPU_TEXTURES),
-                     "a model with fewer components, or a target with more layers, would do");
+    return btfi_fail(
+        b->ctx, BTF_E_LIMIT,
+        "GPU export: with %s there would be %u textures, more than the target's %u; a model with "
+        "fewer components, or a target with more layers, would do",
+        name, (unsigned)b->texture_count + 1, (unsigned)b->texture_count);
   btfi_gpu_texture *texture = &b->texture[b->texture_count];
   uint64_t total, offset = 0;
   memcpy(texture->name, name, strlen(name) + 1);

@@ -85,7 +85,8 @@ static btf_status put_texts(btf_gpu_export *e, const btf_model *model, const cha
   btfi_buffer text;
   BTFI_TRY(btf_model_describe(model, &info));
   btfi_buffer_init(&text, e->ctx);
-  btfi_gpu_put_glsl(e->built, model->shape.wrap, model->quantity == BTF_QUANTITY_BRDF_COS, &text);
+  btfi_gpu_put_glsl(e->built, model->shape.wrap, model->shape.channels,
+                    model->quantity == BTF_QUANTITY_BRDF_COS, &text);
   btf_status status = take_text(&text, &e->glsl);
   if (status == BTF_OK) {
     btfi_gpu_put_manifest(e, &info, layout, &text);

@@ -22,6 +22,11 @@ static const char head[] = "#ifndef BTF_BINDING\n"
                            "#define BTF_HIGHP\n"
                            "#endif\n";
 
+/* By bits: compilers of shaders take comparisons of floats for such as know no NaN. */
+static const char finite[] = "bvec3 btf_finite(vec3 v) {\n"
+                             "  return notEqual(floatBitsToInt(v) & 0x7f800000, ivec3(0x7f800000));\n"
+                             "}\n";
+
 static const char directions[] = "/* The unit disc of directions: (x, y) / (1 + z). */\n"
                                  "vec2 btf_parabolic(vec3 direction) {\n"
                                  "  vec3 d = vec3(direction.xy, max(direction.z, 0.0));\n"
@@ -127,7 +132,8 @@ static void put_declarations(const btf_gpu_builder *b, btfi_buffer *out) {
   btfi_put_text(out, "};\n");
 }
 
-void btfi_gpu_put_glsl(const btf_gpu_builder *b, uint32_t wrap, bool divide, btfi_buffer *out) {
+void btfi_gpu_put_glsl(const btf_gpu_builder *b, uint32_t wrap, uint32_t channels, bool divide,
+                       btfi_buffer *out) {
   btfi_put_text(out, "%s", head);
   put_declarations(b, out);
   btfi_put_text(out, "%s",
@@ -135,11 +141,20 @@ void btfi_gpu_put_glsl(const btf_gpu_builder *b, uint32_t wrap, bool divide, btf
                                          "#define BTF_WRAP(i, size) clamp(i, ivec2(0), ivec2(size - 1))\n"
                                        : "#define BTF_WRAPPED(u) fract(u)\n"
                                          "#define BTF_WRAP(i, size) ((i + size) % size)\n");
-  btfi_put_text(out, "%s%s%s", directions, powers, texels);
+  btfi_put_text(out, "%s%s%s%s", finite, directions, powers, texels);
   btfi_put_bytes(out, b->accessor.data, b->accessor.size);
   btfi_put_bytes(out, b->source.data, b->source.size);
-  btfi_put_text(out, "vec3 btf_eval(vec3 light, vec3 view, vec2 uv, float lod) {\n"
-                     "  if (!(light.z > 0.0 && view.z > 0.0)) return vec3(0.0);\n");
-  btfi_put_text(out, divide ? "  return btf_stored(light, view, uv, lod) / max(light.z, 0.02);\n}\n"
-                            : "  return btf_stored(light, view, uv, lod);\n}\n");
+  btfi_put_text(
+      out,
+      "vec3 btf_eval(vec3 light, vec3 view, vec2 uv, float lod) {\n"
+      "  if (!(light.z > 0.0 && view.z > 0.0)) return vec3(0.0);\n"
+      "  if (!all(btf_finite(light)) || !all(btf_finite(view)) || !all(btf_finite(vec3(uv, lod))))\n"
+      "    return vec3(0.0);\n"
+      "  vec3 f = btf_stored(light, view, uv, lod)%s;\n"
+      "  f = mix(vec3(0.0), f, btf_finite(f));\n"
+      "  return %s;\n}\n",
+      divide ? " / max(light.z, 0.02)" : "",
+      channels == 1   ? "f.xxx"
+      : channels == 2 ? "vec3(f.xy, 0.0)"
+                      : "f");
 }

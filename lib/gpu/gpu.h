@@ -59,7 +59,8 @@ struct btf_gpu_export {
 /* ---- the parts of an export ---- */
 
 /* glsl.c: the whole shader; `divide` by the light's cosine. */
-void btfi_gpu_put_glsl(const btf_gpu_builder *b, uint32_t wrap, bool divide, btfi_buffer *out);
+void btfi_gpu_put_glsl(const btf_gpu_builder *b, uint32_t wrap, uint32_t channels, bool divide,
+                       btfi_buffer *out);
 /* manifest.c */
 void btfi_gpu_put_manifest(const btf_gpu_export *e, const btf_model_info *model, const char *layout,
                            btfi_buffer *out);

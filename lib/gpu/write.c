@@ -5,8 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "io/file_writer.h"
-#include "io/folder.h"
+#include "io/new_folder.h"
 
 #define MANIFEST_FILE "manifest.json"
 #define SHADER_FILE "btf.glsl"
@@ -24,59 +23,47 @@ static bool is_texture_name(const char *name) {
          strspn(name, "abcdefghijklmnopqrstuvwxyz0123456789_") == strlen(name);
 }
 
-static bool find_files(btf_context *ctx, const btfi_folder_kind *kind, const char *path, btfi_buffer *files) {
+static btf_status list_files(const btfi_json *manifest, btfi_buffer *files) {
+  const char *format = btfi_json_string(btfi_json_get(manifest, "format"));
+  const btfi_json *textures = btfi_json_get(manifest, "textures");
+  if (format == NULL || strcmp(format, "btf-gpu") != 0) return BTF_E_INVALID_ARG;
+  put_name(files, MANIFEST_FILE, "");
+  put_name(files, SHADER_FILE, "");
+  /* A page that the manifest does not name is somebody else's. */
+  if (btfi_json_get(manifest, "page") != NULL) put_name(files, PAGE_FILE, "");
+  for (uint64_t i = 0; i < btfi_json_length(textures); i++) {
+    const char *name = btfi_json_string(btfi_json_get(btfi_json_at(textures, i), "name"));
+    if (is_texture_name(name)) put_name(files, name, ".ktx2");
+  }
+  return BTF_OK;
+}
+
+static btf_status find_files(btf_context *ctx, const btfi_folder_kind *kind, const char *path,
+                             btfi_buffer *files) {
   (void)kind;
   char *file = NULL, *text = NULL;
   uint64_t size = 0;
   btfi_json *root = NULL;
-  bool ours = false;
-  if (btfi_path_join(ctx, path, MANIFEST_FILE, &file) != BTF_OK) return false;
-  if (btfi_read_file(ctx, file, MOST_MANIFEST_BYTES, &text, &size) == BTF_OK &&
-      btfi_json_parse(ctx, file, text, size, &root) == BTF_OK) {
-    const char *format = btfi_json_string(btfi_json_get(root, "format"));
-    const btfi_json *textures = btfi_json_get(root, "textures");
-    ours = format != NULL && strcmp(format, "btf-gpu") == 0;
-    put_name(files, MANIFEST_FILE, "");
-    put_name(files, SHADER_FILE, "");
-    /* A page that the manifest does not name is somebody else's. */
-    if (btfi_json_get(root, "page") != NULL) put_name(files, PAGE_FILE, "");
-    for (uint64_t i = 0; ours && i < btfi_json_length(textures); i++) {
-      const char *name = btfi_json_string(btfi_json_get(btfi_json_at(textures, i), "name"));
-      if (is_texture_name(name)) put_name(files, name, ".ktx2");
-    }
-  }
+  BTFI_TRY(btfi_path_join(ctx, path, MANIFEST_FILE, &file));
+  btf_status status = btfi_read_file(ctx, file, MOST_MANIFEST_BYTES, &text, &size);
+  if (status == BTF_OK) status = btfi_json_parse(ctx, file, text, size, &root);
+  if (status == BTF_OK) status = list_files(root, files);
   btfi_json_free(root);
   btfi_free(ctx, text);
   btfi_free(ctx, file);
-  return ours;
+  return status;
 }
 
 static const btfi_folder_kind folder_kind = {"GPU export", find_files};
 
-static btf_status write_file(btf_context *ctx, const char *folder, const char *name, const void *data,
-                             uint64_t size) {
-  char *path = NULL;
-  btf_io io;
-  BTFI_TRY(btfi_path_join(ctx, folder, name, &path));
-  btf_status status = btfi_file_writer_open(ctx, path, &io);
-  btfi_free(ctx, path);
-  if (status != BTF_OK) return status;
-  status = btfi_io_write(ctx, &io, data, size, 0);
-  if (status != BTF_OK) {
-    btfi_io_close(ctx, &io, true);
-    return status;
-  }
-  return btfi_io_close(ctx, &io, false);
-}
-
-static btf_status write_textures(const btf_gpu_export *e, const char *folder, int32_t zstd_level) {
+static btf_status write_textures(const btf_gpu_export *e, btf_new_folder *folder, int32_t zstd_level) {
   char name[BTFI_GPU_NAME + 8];
   for (uint32_t i = 0; i < e->built->texture_count; i++) {
     void *data;
     size_t size;
     snprintf(name, sizeof name, "%s.ktx2", e->built->texture[i].name);
     BTFI_TRY(btf_gpu_texture_ktx2(e, i, zstd_level, &data, &size));
-    const btf_status status = write_file(e->ctx, folder, name, data, size);
+    const btf_status status = btfi_new_folder_put(folder, name, data, size);
     btfi_free(e->ctx, data);
     if (status != BTF_OK) return status;
   }
@@ -84,52 +71,37 @@ static btf_status write_textures(const btf_gpu_export *e, const char *folder, in
 }
 
 /* The manifest, and in it the page's name where there is one. */
-static btf_status write_manifest(const btf_gpu_export *e, const char *folder, bool has_page) {
+static btf_status write_manifest(const btf_gpu_export *e, btf_new_folder *folder, bool has_page) {
   static const char start[] = "{\n", page[] = "{\n  \"page\": \"" PAGE_FILE "\",\n";
   btfi_buffer text;
-  if (!has_page) return write_file(e->ctx, folder, MANIFEST_FILE, e->manifest, strlen(e->manifest));
+  if (!has_page) return btfi_new_folder_put(folder, MANIFEST_FILE, e->manifest, strlen(e->manifest));
   btfi_buffer_init(&text, e->ctx);
   btfi_put_bytes(&text, page, sizeof page - 1);
   btfi_put_bytes(&text, e->manifest + sizeof start - 1, strlen(e->manifest) - (sizeof start - 1));
   btf_status status = btfi_buffer_status(&text);
-  if (status == BTF_OK) status = write_file(e->ctx, folder, MANIFEST_FILE, text.data, text.size);
+  if (status == BTF_OK) status = btfi_new_folder_put(folder, MANIFEST_FILE, text.data, text.size);
   btfi_buffer_free(&text);
   return status;
 }
 
-static btf_status write_all(const btf_gpu_export *e, const char *folder, int32_t zstd_level, const void *page,
-                            size_t page_size) {
+static btf_status write_all(const btf_gpu_export *e, btf_new_folder *folder, int32_t zstd_level,
+                            const void *page, size_t page_size) {
   BTFI_TRY(write_textures(e, folder, zstd_level));
-  BTFI_TRY(write_file(e->ctx, folder, SHADER_FILE, e->glsl, strlen(e->glsl)));
-  if (page != NULL) BTFI_TRY(write_file(e->ctx, folder, PAGE_FILE, page, page_size));
+  BTFI_TRY(btfi_new_folder_put(folder, SHADER_FILE, e->glsl, strlen(e->glsl)));
+  if (page != NULL) BTFI_TRY(btfi_new_folder_put(folder, PAGE_FILE, page, page_size));
   return write_manifest(e, folder, page != NULL);
-}
-
-static void remove_folder(const btf_gpu_export *e, const char *folder) {
-  btfi_buffer files;
-  btfi_buffer_init(&files, e->ctx);
-  put_name(&files, MANIFEST_FILE, "");
-  put_name(&files, SHADER_FILE, "");
-  put_name(&files, PAGE_FILE, "");
-  for (uint32_t i = 0; i < e->built->texture_count; i++) put_name(&files, e->built->texture[i].name, ".ktx2");
-  if (btfi_buffer_status(&files) == BTF_OK)
-    btfi_folder_remove(e->ctx, folder, (const char *)files.data, files.size);
-  btfi_buffer_free(&files);
 }
 
 btf_status btf_gpu_export_write_page(const btf_gpu_export *e, const char *path, int32_t zstd_level,
                                      const void *page, size_t page_size) {
-  char *temporary = NULL;
+  btf_new_folder *folder;
   if (e == NULL || path == NULL || zstd_level < 0 || zstd_level > 22)
     return btfi_fail(NULL, BTF_E_INVALID_ARG,
                      "btf_gpu_export_write: export and path must not be NULL, zstd level 0 to 22");
-  BTFI_TRY(btfi_folder_may_take(e->ctx, &folder_kind, path, NULL));
-  BTFI_TRY(btfi_folder_make_beside(e->ctx, path, &temporary));
-  btf_status status = write_all(e, temporary, zstd_level, page, page_size);
-  if (status == BTF_OK) status = btfi_folder_place(e->ctx, &folder_kind, temporary, path);
-  if (status != BTF_OK) remove_folder(e, temporary);
-  btfi_free(e->ctx, temporary);
-  return status;
+  BTFI_TRY(btfi_new_folder_begin_kind(e->ctx, path, &folder_kind, &folder));
+  const btf_status status = write_all(e, folder, zstd_level, page, page_size);
+  const btf_status placed = btfi_new_folder_end(folder, status != BTF_OK);
+  return status != BTF_OK ? status : placed;
 }
 
 btf_status btf_gpu_export_write(const btf_gpu_export *e, const char *path, int32_t zstd_level) {

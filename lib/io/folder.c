@@ -36,13 +36,18 @@ int btfi_folder_stat(const char *path, struct stat *entry) {
   return fault("stat") ? -1 : stat(path, entry);
 }
 
-/* Whether the folder is of the kind, for callers that do not ask for its files. */
-static bool is_of(btf_context *ctx, const btfi_folder_kind *kind, const char *path) {
+static btf_status find(btf_context *ctx, const btfi_folder_kind *kind, const char *path, btfi_buffer *files) {
+  const btf_status status = kind->find(ctx, kind, path, files);
+  return status == BTF_OK ? btfi_buffer_status(files) : status;
+}
+
+/* For callers that do not ask for the folder's files. */
+static btf_status is_of(btf_context *ctx, const btfi_folder_kind *kind, const char *path) {
   btfi_buffer files;
   btfi_buffer_init(&files, ctx);
-  const bool found = kind->find(ctx, kind, path, &files);
+  const btf_status status = find(ctx, kind, path, &files);
   btfi_buffer_free(&files);
-  return found;
+  return status;
 }
 
 btf_status btfi_folder_may_take(btf_context *ctx, const btfi_folder_kind *kind, const char *path,
@@ -52,7 +57,8 @@ btf_status btfi_folder_may_take(btf_context *ctx, const btfi_folder_kind *kind, 
   if (fault("stat") || lstat(path, &entry) != 0)
     return errno == ENOENT ? BTF_OK : fail_io(ctx, path, "cannot be looked at");
   if (exists) *exists = true;
-  if (S_ISDIR(entry.st_mode) && is_of(ctx, kind, path)) return BTF_OK;
+  const btf_status status = S_ISDIR(entry.st_mode) ? is_of(ctx, kind, path) : BTF_E_INVALID_ARG;
+  if (status == BTF_OK || status == BTF_E_NOMEM) return status;
   return btfi_fail(ctx, BTF_E_IO, "%s: exists and is not a %s; it is not replaced", path, kind->title);
 }
 
@@ -158,13 +164,15 @@ static btf_status replace(btf_context *ctx, const btfi_folder_kind *kind, const 
   btfi_random random;
   btfi_buffer files;
   btfi_buffer_init(&files, ctx);
-  if (!kind->find(ctx, kind, path, &files) || btfi_buffer_status(&files) != BTF_OK) {
+  btf_status status = find(ctx, kind, path, &files);
+  if (status != BTF_OK) {
     btfi_buffer_free(&files);
+    if (status == BTF_E_NOMEM) return status;
     return btfi_fail(ctx, BTF_E_IO, "%s: is no longer a %s; it is not replaced", path, kind->title);
   }
   seed_names(&random);
   char *old = beside(ctx, path, "old", btfi_random_u64(&random));
-  const btf_status status = old ? exchange(ctx, temporary, path, old, &files) : btfi_alloc_status();
+  status = old ? exchange(ctx, temporary, path, old, &files) : btfi_alloc_status();
   btfi_free(ctx, old);
   btfi_buffer_free(&files);
   return status;

@@ -15,8 +15,10 @@ int btfi_folder_stat(const char *path, struct stat *entry);
 /* What kind of folder is made: only an earlier one of the same kind is replaced. */
 typedef struct btfi_folder_kind {
   const char *title; /* "data-set folder" */
-  /* Whether the folder is of this kind. Appends the names of its own files, each with its NUL. */
-  bool (*find)(btf_context *ctx, const struct btfi_folder_kind *kind, const char *path, btfi_buffer *files);
+  /* BTF_OK if the folder is of this kind, and BTF_E_NOMEM where that cannot be found out; everything else is
+   * "no". Appends the names of its own files, each with its NUL. */
+  btf_status (*find)(btf_context *ctx, const struct btfi_folder_kind *kind, const char *path,
+                     btfi_buffer *files);
 } btfi_folder_kind;
 
 /* BTF_OK when nothing is at `path`, or a folder of the kind, which may be replaced. *exists may be NULL. */

@@ -7,25 +7,25 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "io/folder.h"
 #include "io/system.h"
 
 struct btf_new_folder {
-  btfi_folder_kind kind; /* first, so that `find` gets at the rest */
-  int32_t (*is_own)(const char *name);
+  btfi_folder_kind kind;               /* first, so that find_own gets at the rest */
+  int32_t (*is_own)(const char *name); /* of kinds that are told by the names of their files; or NULL */
   btf_context *ctx;
   char *path, *temporary;
   int fd;            /* of the temporary folder */
   btfi_buffer files; /* names in it */
 };
 
-static bool find_own(btf_context *ctx, const btfi_folder_kind *kind, const char *path, btfi_buffer *files) {
+static btf_status find_own(btf_context *ctx, const btfi_folder_kind *kind, const char *path,
+                           btfi_buffer *files) {
   const btf_new_folder *folder = (const btf_new_folder *)(const void *)kind;
   DIR *there = opendir(path);
   struct dirent *entry;
   bool all = true, any = false;
   (void)ctx;
-  if (!there) return false;
+  if (!there) return BTF_E_IO;
   errno = 0;
   while (all && (entry = readdir(there)) != NULL) {
     const char *name = entry->d_name;
@@ -37,7 +37,7 @@ static bool find_own(btf_context *ctx, const btfi_folder_kind *kind, const char 
   }
   const bool complete = errno == 0;
   closedir(there);
-  return all && any && complete;
+  return all && any && complete ? BTF_OK : BTF_E_INVALID_ARG;
 }
 
 static void free_folder(btf_new_folder *folder) {
@@ -72,12 +72,12 @@ static void remove_folder(btf_new_folder *folder) {
     btfi_folder_remove(folder->ctx, folder->temporary, (const char *)folder->files.data, folder->files.size);
 }
 
-btf_status btfi_new_folder_begin(btf_context *ctx, const char *path, const char *title,
-                                 int32_t (*is_own)(const char *name), btf_new_folder **out) {
+static btf_status begin(btf_context *ctx, const char *path, const btfi_folder_kind *kind,
+                        int32_t (*is_own)(const char *name), btf_new_folder **out) {
   btf_new_folder *folder = btfi_calloc(ctx, 1, sizeof *folder);
   *out = NULL;
   if (!folder) return btfi_alloc_status();
-  folder->kind = (btfi_folder_kind){title, find_own};
+  folder->kind = *kind;
   folder->is_own = is_own;
   folder->ctx = ctx;
   folder->fd = -1;
@@ -90,6 +90,16 @@ btf_status btfi_new_folder_begin(btf_context *ctx, const char *path, const char 
     free_folder(folder);
   }
   return status;
+}
+
+btf_status btfi_new_folder_begin(btf_context *ctx, const char *path, const char *title,
+                                 int32_t (*is_own)(const char *name), btf_new_folder **out) {
+  return begin(ctx, path, &(btfi_folder_kind){title, find_own}, is_own, out);
+}
+
+btf_status btfi_new_folder_begin_kind(btf_context *ctx, const char *path, const btfi_folder_kind *kind,
+                                      btf_new_folder **out) {
+  return begin(ctx, path, kind, NULL, out);
 }
 
 static btf_status put_bytes(btf_new_folder *folder, int fd, const char *name, const void *data,
@@ -106,7 +116,7 @@ static btf_status put_bytes(btf_new_folder *folder, int fd, const char *name, co
 }
 
 btf_status btfi_new_folder_put(btf_new_folder *folder, const char *name, const void *data, uint64_t size) {
-  if (name[0] == '\0' || strchr(name, '/') || !folder->is_own(name))
+  if (name[0] == '\0' || strchr(name, '/') || (folder->is_own && !folder->is_own(name)))
     return btfi_fail(folder->ctx, BTF_E_INVALID_ARG, "%s: \"%s\" is not a name of its files", folder->path,
                      name);
   btfi_put_bytes(&folder->files, name, strlen(name) + 1); /* before the file: what is there gets removed */

@@ -137,6 +137,7 @@ static const btf_host host = {
     .folder_begin = btfi_new_folder_begin,
     .folder_put = btfi_new_folder_put,
     .folder_end = btfi_new_folder_end,
+    .gpu_direction_maps = btfi_gpu_direction_maps,
 };
 
 const btf_host *btfi_host(void) {

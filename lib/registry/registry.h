@@ -44,6 +44,8 @@ void *btfi_gpu_slice(btf_gpu_builder *b, uint32_t number, uint32_t level, uint32
 btf_status btfi_gpu_uniform(btf_gpu_builder *b, const char *name, uint32_t type, uint32_t count,
                             const void *values);
 btf_status btfi_gpu_directions(btf_gpu_builder *b, const char *name, const btf_dirset *set);
+btf_status btfi_gpu_direction_maps(btf_gpu_builder *b, const char *name, const btf_dirset *set,
+                                   double *shift);
 btf_status btfi_gpu_source(btf_gpu_builder *b, const char *format, ...) LIBBTF_PRINTF(2, 3);
 void btfi_gpu_cost(btf_gpu_builder *b, const btf_gpu_cost *cost);
 

@@ -22,8 +22,8 @@
   X(PFNGLATTACHSHADERPROC, AttachShader)                                                                     \
   X(PFNGLLINKPROGRAMPROC, LinkProgram)                                                                       \
   X(PFNGLGETPROGRAMIVPROC, GetProgramiv)                                                                     \
-  X(PFNGLGETPROGRAMINFOLOGPROC, GetProgramInfoLog) X(PFNGLDELETESHADERPROC,                                  \
-                                                     DeleteShader) X(PFNGLDELETEPROGRAMPROC, DeleteProgram)  \
+  X(PFNGLGETPROGRAMINFOLOGPROC, GetProgramInfoLog)                                                           \
+  X(PFNGLDELETESHADERPROC, DeleteShader) X(PFNGLDELETEPROGRAMPROC, DeleteProgram)                            \
       X(PFNGLUSEPROGRAMPROC, UseProgram) X(PFNGLGETUNIFORMLOCATIONPROC, GetUniformLocation)                  \
           X(PFNGLUNIFORM1IPROC, Uniform1i) X(PFNGLGETUNIFORMBLOCKINDEXPROC, GetUniformBlockIndex)            \
               X(PFNGLUNIFORMBLOCKBINDINGPROC, UniformBlockBinding) X(PFNGLGENBUFFERSPROC, GenBuffers)        \
