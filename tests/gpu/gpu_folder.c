@@ -117,15 +117,20 @@ void gpu_folder_free(gpu_folder *f) {
   memset(f, 0, sizeof *f);
 }
 
-void gpu_host_run(gpu_host *host, const btf_gpu_export *e, int32_t zstd_level, gpu_edit edit,
-                  const void *user, const float *queries, size_t count, float *out) {
+void gpu_host_run_folder(gpu_host *host, const char *path, gpu_edit edit, const void *user,
+                         const float *queries, size_t count, float *out) {
   static gpu_folder folder;
-  const char *path = test_path("export");
-  assert_ok(btf_gpu_export_write(e, path, zstd_level));
   const char *wrong = gpu_folder_read(path, &folder);
   if (wrong == NULL && edit != NULL) folder.glsl = edit(folder.glsl, user);
   if (wrong == NULL) wrong = host->load(host, &folder);
   if (wrong == NULL) wrong = host->eval(host, queries, count, out);
   gpu_folder_free(&folder);
   if (wrong != NULL) fail_msg("%s", wrong);
+}
+
+void gpu_host_run(gpu_host *host, const btf_gpu_export *e, int32_t zstd_level, gpu_edit edit,
+                  const void *user, const float *queries, size_t count, float *out) {
+  const char *path = test_path("export");
+  assert_ok(btf_gpu_export_write(e, path, zstd_level));
+  gpu_host_run_folder(host, path, edit, user, queries, count, out);
 }

@@ -46,8 +46,10 @@ struct gpu_host {
 
 /* Changes a shader's text from malloc. */
 typedef char *(*gpu_edit)(char *glsl, const void *user);
-/* Writes an export to a folder, reads it and evaluates queries by it; `edit` may be NULL. Whatever goes wrong
- * fails the test. */
+/* Reads a folder and evaluates queries by it; `edit` may be NULL. Whatever goes wrong fails the test. */
+void gpu_host_run_folder(gpu_host *host, const char *path, gpu_edit edit, const void *user,
+                         const float *queries, size_t count, float *out);
+/* The same of an export, which is written first. */
 void gpu_host_run(gpu_host *host, const btf_gpu_export *e, int32_t zstd_level, gpu_edit edit,
                   const void *user, const float *queries, size_t count, float *out);
 
