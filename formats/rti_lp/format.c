@@ -90,7 +90,7 @@ static btf_status decode(lp_file *lp, uint32_t index) {
   btf_status status = source_file_open_beside(list, name_of(lp, index), &file);
   if (status != BTF_OK)
     return (list->host->source_error)(status, "%s: %s could not be read", list->path, name_of(lp, index));
-  status = picture_decode(file.data, file.size, &lp->info, &lp->rules, lp->pixels, &fault);
+  status = picture_decode(&file, &lp->info, &lp->rules, lp->pixels, &fault);
   source_file_close(&file);
   if (status != BTF_OK)
     return (list->host->source_error)(status, "%s: %s: %s", list->path, name_of(lp, index), fault.why);
