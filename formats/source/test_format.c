@@ -45,12 +45,29 @@ void format_check_allocations(const char *path, const char *id, long least) {
   test_context_done(ctx, &memory);
 }
 
-void format_expect_refusal(btf_context *ctx, const char *path, const char *id) {
+static unsigned refusals;
+
+static btf_status refuse(btf_context *ctx, const char *path, const char *id) {
   btf_dataset *ds;
   const btf_status status = format_try(ctx, path, id, NULL, &ds);
   if (status == BTF_OK) fail_msg("%s was opened", path);
-  assert_true(status >= BTF_E_NOT_BTF && status < 40);
   assert_null(ds);
   assert_true(strncmp(btf_error_message(), path, strlen(path)) == 0);
   assert_null(strchr(btf_error_message(), '\n'));
+  refusals++;
+  return status;
+}
+
+void format_expect_refusal(btf_context *ctx, const char *path, const char *id) {
+  const btf_status status = refuse(ctx, path, id);
+  assert_true(status >= BTF_E_NOT_BTF && status < 40);
+}
+
+void format_expect_status(btf_context *ctx, const char *path, const char *id, btf_status expected) {
+  assert_status(refuse(ctx, path, id), expected);
+}
+
+void format_check_refusals(unsigned least) {
+  printf("%u damaged files were refused\n", refusals);
+  assert_true(refusals > least);
 }
