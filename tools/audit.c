@@ -37,18 +37,25 @@ static bool earlier(const audit_place *a, const audit_place *b) {
 
 /* ---- reading what may hold NaN ---- */
 
-/* Reads texels of one picture; where they cannot be read halves of them, and a texel alone becomes NaN. */
-static btf_status read_part(const sample_source *s, uint32_t view, uint32_t light, const btf_block *part,
-                            float *picture) {
+/* Reads texels of one picture. */
+static btf_status read_texels(const sample_source *s, uint32_t view, uint32_t light, const btf_block *part,
+                              float *picture) {
   const ptrdiff_t x = (ptrdiff_t)(s->channels * sizeof(float)), y = x * (ptrdiff_t)s->width;
   const btf_strides strides = {0, 0, y, x, sizeof(float)};
   float *dst = picture + ((size_t)part->y0 * s->width + part->x0) * s->channels;
   btf_block block = *part;
   block.view0 = view;
   block.light0 = light;
-  const btf_status status = btf_dataset_read(s->dataset, &block, dst, &strides);
+  return btf_dataset_read(s->dataset, &block, dst, &strides);
+}
+
+/* Where they cannot be read halves of them, and a texel alone becomes NaN. */
+static btf_status read_part(const sample_source *s, uint32_t view, uint32_t light, const btf_block *part,
+                            float *picture) {
+  const btf_status status = read_texels(s, view, light, part, picture);
   if (status != BTF_E_CORRUPT) return status;
   if (part->width == 1 && part->height == 1) {
+    float *dst = picture + ((size_t)part->y0 * s->width + part->x0) * s->channels;
     for (uint32_t c = 0; c < s->channels; c++) dst[c] = NAN;
     return BTF_OK;
   }
@@ -66,14 +73,27 @@ static btf_status read_part(const sample_source *s, uint32_t view, uint32_t ligh
   return halves == BTF_OK ? read_part(s, view, light, &second, picture) : halves;
 }
 
+/* A sample that is not finite is named by its place. What is said alike of two texels is of the picture,
+ * which is damaged. */
+static bool is_damaged(const sample_source *s, uint32_t view, uint32_t light, float *picture) {
+  const btf_block corners[] = {{0, 1, 0, 1, 0, 0, 1, 1}, {0, 1, 0, 1, s->width - 1, s->height - 1, 1, 1}};
+  char first[512];
+  if (s->width == 1 && s->height == 1) return false;
+  if (read_texels(s, view, light, &corners[0], picture) != BTF_E_CORRUPT) return false;
+  snprintf(first, sizeof first, "%s", btf_error_message());
+  return read_texels(s, view, light, &corners[1], picture) == BTF_E_CORRUPT &&
+         strcmp(first, btf_error_message()) == 0;
+}
+
 static btf_status read_lights(const sample_source *s, uint32_t view, uint32_t light0, uint32_t lights,
                               float *dst) {
   const btf_status status = sample_source_read(s, view, light0, lights, dst);
   if (status != BTF_E_CORRUPT || s->dataset == NULL) return status;
   const btf_block whole = {0, 1, 0, 1, 0, 0, s->width, s->height};
   for (uint32_t l = 0; l < lights; l++) {
-    const btf_status one =
-        read_part(s, view, light0 + l, &whole, dst + (size_t)l * sample_source_image_values(s));
+    float *picture = dst + (size_t)l * sample_source_image_values(s);
+    if (is_damaged(s, view, light0 + l, picture)) return BTF_E_CORRUPT;
+    const btf_status one = read_part(s, view, light0 + l, &whole, picture);
     if (one != BTF_OK) return one;
   }
   return BTF_OK;

@@ -74,7 +74,7 @@ static btf_status make(const btf_host *host, bonn_file *bonn, const btf_options 
   btf_dirset *lights = NULL, *views = NULL;
   const int choice = (int)(host->option)(options, "cosine");
   const bool inside = choice == 1 || (choice == 0 && bonn->cosine != 0);
-  const char *slash = strrchr(bonn->file.path, '/');
+  char name[SOURCE_NAME_BYTES];
   btf_status status = (host->dirset_create)(ctx, bonn->lights, bonn->light_count, &lights);
   if (status == BTF_OK) status = (host->dirset_create)(ctx, bonn->views, bonn->view_count, &views);
   if (status == BTF_OK) status = bonn_products_prepare(bonn);
@@ -88,7 +88,8 @@ static btf_status make(const btf_host *host, bonn_file *bonn, const btf_options 
     desc.quantity = inside ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF;
     desc.flags = BTF_DATASET_CONCURRENT_READ;
     desc.channel_names = bonn->channel_names != NULL ? (const char *const *)bonn->channel_names : rgb;
-    desc.name = slash != NULL ? slash + 1 : bonn->file.path;
+    source_name(bonn->file.path, name);
+    desc.name = name;
     desc.texels_per_mm = bonn->texels_per_mm > 0 && bonn->texels_per_mm < 1e12f ? bonn->texels_per_mm : 0;
     desc.read = bonn_read;
     desc.user = bonn;

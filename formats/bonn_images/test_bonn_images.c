@@ -41,8 +41,8 @@ static const archive_case cases[] = {
     {"hdr by columns, not square", "hdr", CASE_UBO, PICTURE(CASE_HDR_COLUMNS, 5, 9, 3), false, false, false,
      NULL, NULL, "linear"},
     {"hdr", "hdr", CASE_UTIA, PICTURE(CASE_HDR, 9, 5, 3), false, false, false, "type", "f32", "linear"},
-    {"plain hdr", "hdr", CASE_UTIA, PICTURE(CASE_HDR_PLAIN, 9, 5, 3), true, false, false, NULL, NULL,
-     "linear"},
+    {"plain hdr, names with backslashes", "hdr", CASE_BACKSLASHES, PICTURE(CASE_HDR_PLAIN, 9, 5, 3), true,
+     false, false, NULL, NULL, "linear"},
 };
 enum { CASES = sizeof cases / sizeof *cases };
 

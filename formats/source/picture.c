@@ -143,20 +143,20 @@ void picture_store_row(const picture_info *info, const picture_rules *rules, uin
   }
 }
 
-btf_status picture_decode(const unsigned char *data, size_t size, const picture_info *info,
-                          const picture_rules *rules, void *samples, picture_fault *fault) {
+btf_status picture_decode(const source_file *file, const picture_info *info, const picture_rules *rules,
+                          void *samples, picture_fault *fault) {
   picture_info found;
   bool complete;
-  const btf_status status = picture_look(data, size, &found, &complete, fault);
+  const btf_status status = picture_look(file->data, file->size, &found, &complete, fault);
   if (status != BTF_OK) return status;
   if (!complete || !picture_alike(&found, info))
     return picture_fail(fault, BTF_E_CORRUPT, "changed since the archive was opened");
   switch (info->kind) {
   case PICTURE_JPEG:
-    return picture_decode_jpeg(data, size, info, rules, samples, fault);
+    return picture_decode_jpeg(file, info, rules, samples, fault);
   case PICTURE_PNG:
-    return picture_decode_png(data, size, info, rules, samples, fault);
+    return picture_decode_png(file, info, rules, samples, fault);
   default:
-    return picture_decode_hdr(data, size, info, rules, samples, fault);
+    return picture_decode_hdr(file, info, rules, samples, fault);
   }
 }
