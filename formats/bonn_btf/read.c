@@ -40,7 +40,7 @@ static btf_status decode_channel(const bonn_file *bonn, uint32_t view, uint32_t 
   const bonn_factor *factor = &bonn->factors[bonn->family == BONN_PVF    ? view
                                              : bonn->family == BONN_DFMF ? channel
                                                                          : 0];
-  const uint64_t first = bonn->family == BONN_PVF ? light0 : (uint64_t)view * bonn->light_count + light0;
+  const uint64_t first = (bonn->family == BONN_PVF ? 0 : bonn->lights[view].before) + light0;
   const bool by_texel = mixed && factor->channels_by_texel, by_angle = mixed && !factor->channels_by_texel;
   for (uint32_t l = 0; l < lights; l++)
     fetch_row(factor, &factor->angular, by_angle ? channel + bonn->channels * (first + l) : first + l,
@@ -57,8 +57,8 @@ static btf_status decode_channel(const bonn_file *bonn, uint32_t view, uint32_t 
 /* Texels that are not there are black. */
 static void copy_fields(const bonn_file *bonn, uint32_t view, uint32_t light0, uint32_t lights, size_t texels,
                         const tile *t, float *out) {
-  const uint64_t field = (uint64_t)bonn->channels * bonn->light_count * bonn->view_count;
-  const uint64_t first = ((uint64_t)view * bonn->light_count + light0) * bonn->channels;
+  const uint64_t field = bonn->channels * bonn->pairs;
+  const uint64_t first = (bonn->lights[view].before + light0) * bonn->channels;
   const uint64_t chunk_texels = (uint64_t)bonn->fields.chunk_rows * bonn->width;
   for (size_t x = 0; x < texels; x++) {
     const uint64_t texel = t->texels[x], chunk = texel / chunk_texels;

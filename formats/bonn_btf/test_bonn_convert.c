@@ -154,20 +154,13 @@ static void test_every_case(void **state) {
   assert_int_equal(views_converted, 3);
 }
 
-static bonn_case case_named(const char *label) {
-  for (size_t i = 0; i < bonn_case_count; i++)
-    if (strcmp(bonn_cases[i].label, label) == 0) return bonn_cases[i];
-  fail_msg("no case %s", label);
-  return bonn_cases[0];
-}
-
 /* Storage of the caller's choice, and what halves make of colour weights that are none: each of two vectors
  * of a product rounds to 2^-11 of its largest magnitude, and the magnitudes of a channel sum up to 12.3. */
 static void test_storage(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  const bonn_case yuv = case_named("DFMF YUV"), half = case_named("FMF half");
+  const bonn_case yuv = bonn_case_named("DFMF YUV"), half = bonn_case_named("FMF half");
   begin(&t, &yuv);
   assert_ok(convert(&t, "fmf", "storage=f16", NULL, &model));
   compare(&t, model, 12.3 * (2 * 0x1p-11 + 0x1p-22));
@@ -193,7 +186,7 @@ static void test_many_components(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  bonn_case c = case_named("DFMF RGB");
+  bonn_case c = bonn_case_named("DFMF RGB");
   c.views = 12;
   c.lights = 10;
   c.width = 12;
@@ -217,7 +210,7 @@ static void test_not_finite(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  const bonn_case c = case_named("FMF float, cosine");
+  const bonn_case c = bonn_case_named("FMF float, cosine");
   begin(&t, &c);
   btf_dataset_release(t.ds);
   bonn_bytes bytes = bonn_case_write(&c);
@@ -236,7 +229,7 @@ static void test_views_storage(void **state) {
   (void)state;
   conversion t;
   btf_model *model, *wide;
-  const bonn_case half = case_named("PVF"), single = case_named("PVF by texel");
+  const bonn_case half = bonn_case_named("PVF"), single = bonn_case_named("PVF by texel");
   begin(&t, &half);
   assert_ok(convert(&t, "pvpca", "", NULL, &model));
   assert_ok(convert(&t, "pvpca", "storage=f32", NULL, &wide));
@@ -266,7 +259,7 @@ static void test_many_in_a_view(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  bonn_case c = case_named("PVF");
+  bonn_case c = bonn_case_named("PVF");
   c.lights = 30;
   c.width = c.height = 9;
   c.components = 63; /* and the mean */
@@ -289,7 +282,7 @@ static void test_levels_of_views(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  bonn_case c = case_named("PVF");
+  bonn_case c = bonn_case_named("PVF");
   c.width = c.height = 4;
   begin(&t, &c);
   assert_ok(convert(&t, "pvpca", "", NULL, &model));
@@ -325,7 +318,7 @@ static void test_factors_of_models(void **state) {
                                      "components=3 storage=q8", "components=1 mean=false budget=adaptive",
                                      "components=3 color=texels storage=q8 budget=adaptive"};
   conversion t;
-  const bonn_case c = case_named("PVF");
+  const bonn_case c = bonn_case_named("PVF");
   begin(&t, &c);
   btf_dataset *const measured = t.ds;
   for (size_t i = 0; i < sizeof fits / sizeof *fits; i++) {
@@ -365,7 +358,7 @@ static void test_views_refusals(void **state) {
       {"color=texels", "color"}};
   conversion t;
   btf_model *model;
-  bonn_case c = case_named("PVF");
+  bonn_case c = bonn_case_named("PVF");
   c.width = c.height = 64;
   begin(&t, &c);
   for (size_t i = 0; i < sizeof of_fit / sizeof *of_fit; i++) {

@@ -23,13 +23,6 @@ typedef struct writing {
   const char *path; /* written */
 } writing;
 
-static bonn_case case_named(const char *label) {
-  for (size_t i = 0; i < bonn_case_count; i++)
-    if (strcmp(bonn_cases[i].label, label) == 0) return bonn_cases[i];
-  fail_msg("no case %s", label);
-  return bonn_cases[0];
-}
-
 static void begin(writing *t, const bonn_case *c) {
   t->c = *c;
   t->ctx = format_context(&t->memory);
@@ -59,24 +52,6 @@ static btf_status write_with(const writing *t, const char *const *settings, cons
   return status;
 }
 
-static const char *note(const btf_dataset_desc *d, const char *key) {
-  for (uint32_t i = 0; d->notes != NULL && d->notes[i] != NULL; i += 2)
-    if (strcmp(d->notes[i], key) == 0) return d->notes[i + 1];
-  return "";
-}
-
-static void check_directions(const btf_dirset *set, uint32_t count, bool light) {
-  assert_int_equal(btf_dirset_count(set), count);
-  for (uint32_t i = 0; i < count; i++) {
-    const float *d = btf_dirset_directions(set) + 3 * i;
-    float theta, phi;
-    bonn_case_angles(i, count, light, &theta, &phi);
-    assert_near(d[0], sin(theta) * cos(phi), 1e-6);
-    assert_near(d[1], sin(theta) * sin(phi), 1e-6);
-    assert_near(d[2], cos(theta), 1e-6);
-  }
-}
-
 static void read_back(const writing *t, const char *family, double tolerance) {
   const bonn_case *c = &t->c;
   btf_dataset *ds;
@@ -84,13 +59,13 @@ static void read_back(const writing *t, const char *family, double tolerance) {
   assert_ok(btf_format_open(t->ctx, t->path, NULL, NULL, &ds));
   assert_ok(btf_dataset_describe(ds, &d));
   assert_ok(btf_dataset_describe(t->ds, &from));
-  assert_string_equal(note(&d, "bonn_family"), family);
-  assert_string_equal(note(&d, "bonn_setup"), note(&from, "bonn_setup"));
+  assert_string_equal(format_note(&d, "bonn_family"), family);
+  assert_string_equal(format_note(&d, "bonn_setup"), format_note(&from, "bonn_setup"));
   assert_int_equal(d.quantity, from.quantity);
   assert_near(d.texels_per_mm, from.texels_per_mm, 0);
   for (uint32_t k = 0; k < c->channels; k++) assert_string_equal(d.channel_names[k], from.channel_names[k]);
-  check_directions(d.views, c->views, false);
-  check_directions(d.lights, c->lights, true);
+  bonn_case_check_directions(d.views, c->views, false);
+  bonn_case_check_directions(d.lights, c->lights, true);
   for (uint32_t v = 0; v < c->views; v++)
     for (uint32_t l = 0; l < c->lights; l++)
       for (uint32_t y = 0; y < c->height; y++)
@@ -131,7 +106,7 @@ static void test_forms(void **state) {
   for (size_t i = 0; i < sizeof labels / sizeof *labels; i++)
     for (size_t k = 0; k < sizeof forms / sizeof *forms; k++) {
       writing t;
-      bonn_case c = case_named(labels[i]);
+      bonn_case c = bonn_case_named(labels[i]);
       c.width += 4; /* room for components of each channel */
       c.views += 3;
       begin(&t, &c);
@@ -153,7 +128,7 @@ static void test_forms(void **state) {
 static void test_channels(void **state) {
   (void)state;
   writing t;
-  bonn_case c = case_named("DFMF RGB");
+  bonn_case c = bonn_case_named("DFMF RGB");
   const char *const dfmf[] = {"family", "dfmf", NULL}, *const half[] = {"scalar", "half", NULL},
                     *const by_channel[] = {"family", "dfmf", "scalar", "half", NULL};
   btf_dataset *again;
@@ -164,10 +139,10 @@ static void test_channels(void **state) {
   read_back(&t, "DFMF", exact);
   assert_ok(btf_format_open(t.ctx, t.path, NULL, NULL, &again));
   assert_ok(btf_dataset_describe(again, &d));
-  assert_string_equal(note(&d, "bonn_components"), "4");
+  assert_string_equal(format_note(&d, "bonn_components"), "4");
   btf_dataset_release(again);
   end(&t);
-  c = case_named("DFMF YUV");
+  c = bonn_case_named("DFMF YUV");
   c.width += 4;
   begin(&t, &c);
   assert_ok(write_with(&t, dfmf, NULL)); /* these are no halves */
@@ -182,7 +157,7 @@ static void test_channels(void **state) {
 static void test_models(void **state) {
   (void)state;
   writing t;
-  bonn_case c = case_named("FMF float, cosine");
+  bonn_case c = bonn_case_named("FMF float, cosine");
   const char *const defaults[] = {NULL}, *const half[] = {"scalar", "half", NULL};
   begin(&t, &c);
   const btf_codec *fmf = btf_codec_find(t.ctx, "fmf");
@@ -207,7 +182,7 @@ static void test_models(void **state) {
 static void test_budget(void **state) {
   (void)state;
   writing t;
-  bonn_case c = case_named("FMF half");
+  bonn_case c = bonn_case_named("FMF half");
   const char *const defaults[] = {NULL};
   size_t whole_size, size;
   btf_job job = BTF_JOB_INIT;
@@ -241,14 +216,14 @@ static void expect_refusal(const bonn_case *c, const char *const *settings, btf_
 static void test_refusals(void **state) {
   (void)state;
   const char *const defaults[] = {NULL};
-  bonn_case c = case_named("BDI");
+  bonn_case c = bonn_case_named("BDI");
   expect_refusal(&c, defaults, BTF_E_UNSUPPORTED, "samples");
-  c = case_named("PVF");
+  c = bonn_case_named("PVF");
   expect_refusal(&c, defaults, BTF_E_UNSUPPORTED, "each view");
-  c = case_named("DFMF RGB"); /* 12 components in one, of 6 texels */
+  c = bonn_case_named("DFMF RGB"); /* 12 components in one, of 6 texels */
   expect_refusal(&c, defaults, BTF_E_UNSUPPORTED, "12 components");
   writing t;
-  c = case_named("FMF half");
+  c = bonn_case_named("FMF half");
   begin(&t, &c);
   const btf_format *format = btf_format_find(t.ctx, "bonn-btf");
   btf_options *reading;
@@ -287,7 +262,7 @@ static int32_t cancel(void *user, double fraction, const char *stage) {
 static void test_failures(void **state) {
   (void)state;
   writing t;
-  const bonn_case c = case_named("FMF half");
+  const bonn_case c = bonn_case_named("FMF half");
   const char *const dfmf[] = {"family", "dfmf", NULL};
   begin(&t, &c);
   for (int there = 0; there < 2; there++) {

@@ -54,3 +54,9 @@ void format_expect_refusal(btf_context *ctx, const char *path, const char *id) {
   assert_true(strncmp(btf_error_message(), path, strlen(path)) == 0);
   assert_null(strchr(btf_error_message(), '\n'));
 }
+
+const char *format_note(const btf_dataset_desc *d, const char *key) {
+  for (uint32_t i = 0; d->notes != NULL && d->notes[i] != NULL; i += 2)
+    if (strcmp(d->notes[i], key) == 0) return d->notes[i + 1];
+  return "";
+}

@@ -14,6 +14,8 @@ btf_status format_try(btf_context *ctx, const char *path, const char *id, const 
                       btf_dataset **out);
 /* Opens the file, which must be refused with one line that begins with the path. */
 void format_expect_refusal(btf_context *ctx, const char *path, const char *id);
+/* The text of a note of a data set; "" if it has none of that key. */
+const char *format_note(const btf_dataset_desc *d, const char *key);
 /* Fails each allocation of opening and of reading a sample in turn; there are more than `least`. */
 void format_check_allocations(const char *path, const char *id, long least);
 
