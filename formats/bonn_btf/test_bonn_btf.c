@@ -261,6 +261,11 @@ static void test_named_lights(void **state) {
   assert_int_equal(strncmp(format_note(&d, "lights_resampled"), "at the 8 of grid:4x2, in 4 of 4 views", 37),
                    0);
   btf_dataset_release(ds);
+  bonn_case many = bonn_cases[0];
+  many.views = 257; /* times 4096 is more than 2^20 */
+  const char *const fine[] = {"lights", "grid:64x64", NULL};
+  assert_status(format_try(ctx, write_case(&many), "bonn-btf", fine, &ds), BTF_E_LIMIT);
+  assert_message_has("1048576 pairs");
   test_context_done(ctx, &memory);
 }
 
