@@ -60,6 +60,7 @@ typedef struct bonn_file {
   bonn_factor *factors; /* DFMF: one a channel; FMF: one; PVF: one a view */
   uint32_t factor_count;
   bonn_fields fields;
+  bool gives_halves;    /* samples are read as they are stored (BDI) */
   uint32_t *components; /* of the products that the factors are for others (products.c) */
 } bonn_file;
 

@@ -299,6 +299,16 @@ static double value(uint32_t kind, uint32_t factor, uint64_t row, uint32_t colum
   return (double)((int)(h % 129) - 64) / 64;
 }
 
+/* The number in the file. */
+static double entry(const bonn_case *c, uint32_t kind, uint32_t factor, uint64_t row, uint32_t column) {
+  const double even = value(kind, factor, row, column), uneven = even * 0.7317;
+  const int bits = c->scalar_size == 2 ? 11 : 24;
+  int exponent;
+  if (!c->uneven) return even;
+  frexp(uneven, &exponent);
+  return ldexp(rint(ldexp(uneven, bits - exponent)), exponent - bits);
+}
+
 void bonn_case_angles(uint32_t i, uint32_t n, bool light, float *theta, float *phi) {
   *theta = light ? 0.15f + 1.1f * (float)i / (float)n : 0.1f + 1.2f * (float)i / (float)n;
   *phi = (light ? 2.4f : -1.9f) * (float)(i + 1);
@@ -318,7 +328,7 @@ void bonn_case_light(const bonn_case *c, uint32_t view, uint32_t light, float *t
     return;
   }
   *theta = light == 3 ? 0.05f : small ? 0.3f : 1.2f;
-  *phi = (small ? 0.2f : 0.3f * (float)view) + 2.0943951f * (float)light;
+  *phi = (small ? 0.2f : fmodf(0.3f * (float)view, 6.2831853f)) + 2.0943951f * (float)light;
 }
 
 /* Number of a pair of view and light, views one after another. */
@@ -450,7 +460,7 @@ static void put_size(bonn_bytes *b, const bonn_case *c) {
 static void put_rows(bonn_bytes *b, const bonn_case *c, uint32_t kind, uint32_t factor, uint64_t rows,
                      uint32_t columns) {
   for (uint64_t i = 0; i < rows; i++)
-    for (uint32_t k = 0; k < columns; k++) put_scalar(b, c->scalar_size, value(kind, factor, i, k));
+    for (uint32_t k = 0; k < columns; k++) put_scalar(b, c->scalar_size, entry(c, kind, factor, i, k));
 }
 
 static void put_matrix(bonn_bytes *b, const bonn_case *c, uint32_t factor, uint32_t channels) {
@@ -507,7 +517,7 @@ static void put_fields(bonn_bytes *b, const bonn_case *c) {
     for (uint32_t i = row * c->width; i < end * c->width; i++) present += !is_hole(c, i);
     put_count(b, 2 * field * present);
     for (uint32_t i = row * c->width; i < end * c->width; i++)
-      for (uint32_t k = 0; k < field && !is_hole(c, i); k++) put_half(b, value(FACTOR_FIELD, 0, i, k));
+      for (uint32_t k = 0; k < field && !is_hole(c, i); k++) put_half(b, entry(c, FACTOR_FIELD, 0, i, k));
   }
 }
 
@@ -561,7 +571,7 @@ bonn_bytes bonn_case_write(const bonn_case *c) {
 static double dot(const bonn_case *c, uint32_t factor, uint64_t left, uint64_t right) {
   double sum = 0;
   for (uint32_t k = 0; k < c->components; k++)
-    sum += value(FACTOR_LEFT, factor, left, k) * value(FACTOR_RIGHT, factor, right, k);
+    sum += entry(c, FACTOR_LEFT, factor, left, k) * entry(c, FACTOR_RIGHT, factor, right, k);
   return sum;
 }
 
@@ -575,11 +585,11 @@ static double stored(const bonn_case *c, uint32_t v, uint32_t l, uint32_t texel,
                          : dot(c, 0, channel + (uint64_t)n * lv, texel);
   case BONN_CASE_PVF:
     return c->transposed ? dot(c, v, channel + (uint64_t)n * texel, l) +
-                               value(FACTOR_MEAN, v, channel + (uint64_t)n * texel, 0)
+                               entry(c, FACTOR_MEAN, v, channel + (uint64_t)n * texel, 0)
                          : dot(c, v, channel + (uint64_t)n * l, texel) +
-                               value(FACTOR_MEAN, v, channel + (uint64_t)n * l, 0);
+                               entry(c, FACTOR_MEAN, v, channel + (uint64_t)n * l, 0);
   default:
-    return is_hole(c, texel) ? 0 : value(FACTOR_FIELD, 0, texel, channel + n * lv);
+    return is_hole(c, texel) ? 0 : entry(c, FACTOR_FIELD, 0, texel, channel + n * lv);
   }
 }
 

@@ -20,6 +20,7 @@ typedef struct bonn_case {
   uint32_t chunk_rows;                /* BDI */
   bool holes;                         /* BDI: sparse, without every third texel */
   uint32_t setup_bytes;               /* of XML, for sizes that look like an R */
+  bool uneven;                        /* numbers of all the bits that the scalar has, or a float */
   bool own_lights;                    /* of each view, instead of `lights`: bonn_case_light */
 } bonn_case;
 

@@ -88,6 +88,9 @@ static btf_status make(const btf_host *host, bonn_file *bonn, const btf_options 
     desc.width = bonn->width;
     desc.height = bonn->height;
     desc.channels = bonn->channels;
+    /* Interpolated samples are none of the file's halves. */
+    bonn->gives_halves = bonn->family == BONN_BDI && common.of_views == NULL;
+    desc.sample_type = bonn->gives_halves ? BTF_SAMPLE_F16 : BTF_SAMPLE_F32;
     desc.quantity = inside ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF;
     desc.flags = BTF_DATASET_CONCURRENT_READ;
     desc.channel_names = bonn->channel_names != NULL ? (const char *const *)bonn->channel_names : rgb;

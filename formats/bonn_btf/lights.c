@@ -6,8 +6,8 @@
 
 #include "bonn_btf/bonn_btf.h"
 
-/* Weights are kept for each view and common light. */
-enum { MOST_RESAMPLED = 1 << 20 };
+/* Weights are kept for each view and common light, and a set of some 50 KiB for each list. */
+enum { MOST_PAIRS = 1 << 18, MOST_LISTS = 1024 };
 
 const btf_param_desc bonn_param_lights = {sizeof(btf_param_desc),
                                           "lights",
@@ -44,21 +44,31 @@ static uint32_t choose_list(const bonn_file *bonn, const char *wanted) {
   return longest;
 }
 
+static btf_status too_many(const bonn_file *bonn) {
+  return (bonn->file.host->fail)(
+      bonn->file.ctx, BTF_E_LIMIT,
+      "%s: its views have lights of their own; at most %d pairs of view and light and %d "
+      "lists are resampled",
+      bonn->file.path, MOST_PAIRS, MOST_LISTS);
+}
+
 /* Views share what is the same: the common set, or that of the view before. */
 static btf_status make_sets(const bonn_file *bonn, uint32_t list, bonn_common *common) {
   const btf_host *host = bonn->file.host;
+  uint32_t made = 0;
   common->of_views = (host->alloc)(bonn->file.ctx, bonn->view_count, sizeof *common->of_views);
   if (common->of_views == NULL) return BTF_E_NOMEM;
   for (; common->views < bonn->view_count; common->views++) {
     const uint32_t v = common->views;
     btf_dirset **set = &common->of_views[v];
-    *set = NULL;
-    if (list < bonn->view_count && bonn_same_lights(&bonn->lights[v], &bonn->lights[list]))
+    if (list < bonn->view_count && bonn_same_lights(&bonn->lights[v], &bonn->lights[list])) {
       *set = common->lights;
-    else if (v > 0 && bonn_same_lights(&bonn->lights[v], &bonn->lights[v - 1]))
+    } else if (v > 0 && bonn_same_lights(&bonn->lights[v], &bonn->lights[v - 1])) {
       *set = common->of_views[v - 1];
-    else
+    } else {
+      if (made++ == MOST_LISTS) return too_many(bonn);
       BTF_TRY(make_set(bonn, v, set));
+    }
   }
   return BTF_OK;
 }
@@ -99,11 +109,7 @@ static void describe(const bonn_file *bonn, uint32_t list, const char *name, bon
 static btf_status resample(const bonn_file *bonn, uint32_t list, const char *name, bonn_common *common) {
   const btf_host *host = bonn->file.host;
   const uint64_t pairs = (uint64_t)(host->dirset_count)(common->lights) * bonn->view_count;
-  if (pairs > MOST_RESAMPLED || bonn->pairs > MOST_RESAMPLED)
-    return (host->fail)(
-        bonn->file.ctx, BTF_E_LIMIT,
-        "%s: its views have lights of their own; at most %d pairs of view and light are resampled",
-        bonn->file.path, MOST_RESAMPLED);
+  if (pairs > MOST_PAIRS || bonn->pairs > MOST_PAIRS) return too_many(bonn);
   BTF_TRY(make_sets(bonn, list, common));
   describe(bonn, list, name, common);
   return BTF_OK;

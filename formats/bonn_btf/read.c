@@ -87,6 +87,15 @@ static btf_status decode_tile(const bonn_file *bonn, uint32_t view, uint32_t lig
   return BTF_OK;
 }
 
+static void put_sample(const bonn_file *bonn, float value, char *to) {
+  if (bonn->gives_halves) {
+    const uint16_t half = btf_float_to_half(value);
+    memcpy(to, &half, sizeof half);
+  } else {
+    memcpy(to, &value, sizeof value);
+  }
+}
+
 static btf_status read_tiles(const bonn_file *bonn, const btf_block *block, tile *t, char *dst,
                              const btf_strides *strides) {
   const uint64_t texels = (uint64_t)block->width * block->height;
@@ -105,9 +114,9 @@ static btf_status read_tiles(const bonn_file *bonn, const btf_block *block, tile
             for (size_t i = 0; i < count; i++) {
               const ptrdiff_t x = (ptrdiff_t)((from + i) % block->width),
                               y = (ptrdiff_t)((from + i) / block->width);
-              memcpy(dst + (ptrdiff_t)v * strides->view + (ptrdiff_t)(l0 + l) * strides->light +
-                         y * strides->y + x * strides->x + (ptrdiff_t)c * strides->channel,
-                     &t->values[((size_t)c * lights + l) * count + i], sizeof(float));
+              char *to = dst + (ptrdiff_t)v * strides->view + (ptrdiff_t)(l0 + l) * strides->light +
+                         y * strides->y + x * strides->x + (ptrdiff_t)c * strides->channel;
+              put_sample(bonn, t->values[((size_t)c * lights + l) * count + i], to);
             }
       }
   }

@@ -63,6 +63,7 @@ static void test_variants(void **state) {
     assert_int_equal(d.height, c->height);
     assert_int_equal(d.channels, c->channels);
     assert_string_equal(d.channel_names[0], c->version > 3 ? "410" : "R");
+    assert_int_equal(d.sample_type, c->family == BONN_CASE_BDI ? BTF_SAMPLE_F16 : BTF_SAMPLE_F32);
     assert_int_equal(d.quantity, c->cosine ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF);
     assert_near(d.texels_per_mm, c->legacy ? 0 : 7.5, 0);
     assert_string_equal(format_note(&d, "bonn_setup"), c->legacy ? "" : "a dome");
@@ -262,10 +263,14 @@ static void test_named_lights(void **state) {
                    0);
   btf_dataset_release(ds);
   bonn_case many = bonn_cases[0];
-  many.views = 257; /* times 4096 is more than 2^20 */
+  many.views = 65; /* times 4096 is more than 2^18 */
   const char *const fine[] = {"lights", "grid:64x64", NULL};
   assert_status(format_try(ctx, write_case(&many), "bonn-btf", fine, &ds), BTF_E_LIMIT);
-  assert_message_has("1048576 pairs");
+  assert_message_has("262144 pairs");
+  many = with_own_lights(0);
+  many.views = 1710; /* of five, three have lists that no other view has */
+  assert_status(format_try(ctx, write_case(&many), "bonn-btf", NULL, &ds), BTF_E_LIMIT);
+  assert_message_has("1024 lists");
   test_context_done(ctx, &memory);
 }
 
