@@ -6,7 +6,7 @@
 
 #include <stdbool.h>
 
-#include "btf_test.h"
+#include "../source/test_format.h"
 
 enum { BONN_CASE_FMF, BONN_CASE_DFMF, BONN_CASE_PVF, BONN_CASE_BDI };
 
