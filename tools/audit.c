@@ -106,19 +106,26 @@ static void note(uint64_t *count, audit_place *first, const audit_place *place) 
   (*count)++;
 }
 
-static void note_extremes(audit *a, float value) {
+static void note_extremes(audit *a, float value, float cosine, uint32_t view) {
   if (value < a->least) a->least = value;
-  if (value == a->most) a->at_most++;
   if (value > a->most) {
     a->most = value;
-    a->at_most = 1;
+    a->at_most = a->most_views = 0;
+    a->most_low = a->most_high = cosine;
   }
+  if (value != a->most) return;
+  a->most_low = fminf(a->most_low, cosine);
+  a->most_high = fmaxf(a->most_high, cosine);
+  if (a->most_views == 0 || a->most_in_view != view) a->most_views++;
+  a->most_in_view = view;
+  a->at_most++;
 }
 
 static void audit_picture(const audit_run_state *s, auditor *w, uint32_t view, uint32_t light,
                           const float *picture) {
   const sample_source *source = s->source;
   const uint64_t texels = (uint64_t)source->width * source->height;
+  const float cosine = btf_dirset_directions(source->light_set)[3 * light + 2];
   double sum = 0;
   uint64_t finite = 0;
   bool black = true;
@@ -134,7 +141,7 @@ static void audit_picture(const audit_run_state *s, auditor *w, uint32_t view, u
       }
       if (value < 0) note(&w->seen.negative, &w->seen.first_negative, &place);
       if (value != 0) black = false;
-      note_extremes(&w->seen, value);
+      note_extremes(&w->seen, value, cosine, view);
       const uint64_t k = t * source->channels + c;
       if (value < w->low[k]) w->low[k] = value;
       if (value > w->high[k]) w->high[k] = value;
@@ -207,10 +214,17 @@ static void merge(audit *all, const audit *part) {
   all->negative += part->negative;
   all->missing += part->missing;
   all->least = fmin(all->least, part->least);
-  if (part->most == all->most)
+  if (part->most == all->most) {
     all->at_most += part->at_most;
-  else if (part->most > all->most)
+    all->most_views += part->most_views;
+    all->most_low = fminf(all->most_low, part->most_low);
+    all->most_high = fmaxf(all->most_high, part->most_high);
+  } else if (part->most > all->most) {
     all->at_most = part->at_most;
+    all->most_views = part->most_views;
+    all->most_low = part->most_low;
+    all->most_high = part->most_high;
+  }
   all->most = fmax(all->most, part->most);
   if (part->albedo > all->albedo || (part->albedo == all->albedo && part->albedo_view < all->albedo_view)) {
     all->albedo = part->albedo;
@@ -235,6 +249,8 @@ static bool range(const audit_run_state *s, uint64_t k, float *low, float *high)
 
 static void find_dead(const audit_run_state *s) {
   const sample_source *source = s->source;
+  const bool matte =
+      s->result->most_views == source->views && s->result->most_high - s->result->most_low < 1e-3f;
   const uint64_t texels = (uint64_t)source->width * source->height;
   for (uint64_t t = 0; t < texels; t++) {
     bool varies = false;
@@ -242,7 +258,7 @@ static void find_dead(const audit_run_state *s) {
       float low, high;
       if (!range(s, t * source->channels + c, &low, &high)) continue;
       if (high > low) varies = true;
-      if (high > low && high == (float)s->result->most) s->result->cut_off = true;
+      if (!matte && high > low && high == (float)s->result->most) s->result->cut_off = true;
     }
     if (!varies && s->result->dead++ == 0)
       s->result->first_dead =

@@ -119,3 +119,9 @@ void format_check_refusals(unsigned least) {
   printf("%u damaged files were refused\n", refusals);
   assert_true(refusals > least);
 }
+
+const char *format_note(const btf_dataset_desc *d, const char *key) {
+  for (uint32_t i = 0; d->notes != NULL && d->notes[i] != NULL; i += 2)
+    if (strcmp(d->notes[i], key) == 0) return d->notes[i + 1];
+  return "";
+}

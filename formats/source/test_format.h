@@ -24,6 +24,8 @@ void format_check_refusals(unsigned least);
  * hostile_formats. `status` is what its samples are refused with, or with `opens` false it itself. The above
  * keep one of a few. */
 void format_keep_refused(const char *path, btf_status status, bool opens);
+/* The text of a note of a data set; "" if it has none of that key. */
+const char *format_note(const btf_dataset_desc *d, const char *key);
 /* Fails each allocation of opening and of reading a sample in turn; there are more than `least`. */
 void format_check_allocations(const char *path, const char *id, long least);
 

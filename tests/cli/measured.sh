@@ -35,7 +35,7 @@ END
   expect "fetch of measured data" 0 "0.00390625 0.00390625 0.00390625
 1.03125 1.03125 1.03125"
   run import measured.jpg -o imported.btfd --type f32
-  expect "import" 0
+  expect "import tells what it wrote" 0 "imported.btfd: f32, "
   run compare measured.jpg imported.btfd --json
   expect "what is imported is what was there" 0 '"rmse": 0'
   grep -q '"bonn_setup": *"dome"' imported.btfd/manifest.json && pass || fail "what the reader found is in the manifest"
