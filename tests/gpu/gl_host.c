@@ -9,24 +9,26 @@
 #include <EGL/eglext.h>
 #include <GL/glcorearb.h>
 
-#include "base/base.h"
-#include "ktx2_read.h"
-
 #define GL_FUNCTIONS(X)                                                                                      \
   X(PFNGLGETSTRINGPROC, GetString)                                                                           \
   X(PFNGLGETERRORPROC, GetError)                                                                             \
   X(PFNGLENABLEPROC, Enable)                                                                                 \
-  X(PFNGLCREATESHADERPROC, CreateShader) X(PFNGLSHADERSOURCEPROC, ShaderSource)                              \
-      X(PFNGLCOMPILESHADERPROC, CompileShader) X(PFNGLGETSHADERIVPROC, GetShaderiv) X(                       \
-          PFNGLGETSHADERINFOLOGPROC, GetShaderInfoLog) X(PFNGLCREATEPROGRAMPROC, CreateProgram)              \
-          X(PFNGLATTACHSHADERPROC, AttachShader) X(PFNGLLINKPROGRAMPROC, LinkProgram) X(                     \
-              PFNGLGETPROGRAMIVPROC, GetProgramiv) X(PFNGLGETPROGRAMINFOLOGPROC, GetProgramInfoLog)          \
-              X(PFNGLDELETESHADERPROC, DeleteShader) X(PFNGLDELETEPROGRAMPROC, DeleteProgram) X(             \
-                  PFNGLUSEPROGRAMPROC, UseProgram) X(PFNGLGETUNIFORMLOCATIONPROC, GetUniformLocation)        \
-                  X(PFNGLUNIFORM1IPROC, Uniform1i) X(PFNGLGETUNIFORMBLOCKINDEXPROC, GetUniformBlockIndex) X( \
-                      PFNGLUNIFORMBLOCKBINDINGPROC, UniformBlockBinding) X(PFNGLGENBUFFERSPROC, GenBuffers)  \
-                      X(PFNGLDELETEBUFFERSPROC, DeleteBuffers) X(PFNGLBINDBUFFERPROC, BindBuffer) X(         \
-                          PFNGLBINDBUFFERBASEPROC, BindBufferBase) X(PFNGLBUFFERDATAPROC, BufferData)        \
+  X(PFNGLCREATESHADERPROC, CreateShader)                                                                     \
+  X(PFNGLSHADERSOURCEPROC, ShaderSource)                                                                     \
+  X(PFNGLCOMPILESHADERPROC, CompileShader)                                                                   \
+  X(PFNGLGETSHADERIVPROC, GetShaderiv)                                                                       \
+  X(PFNGLGETSHADERINFOLOGPROC, GetShaderInfoLog)                                                             \
+  X(PFNGLCREATEPROGRAMPROC, CreateProgram)                                                                   \
+  X(PFNGLATTACHSHADERPROC, AttachShader)                                                                     \
+  X(PFNGLLINKPROGRAMPROC, LinkProgram)                                                                       \
+  X(PFNGLGETPROGRAMIVPROC, GetProgramiv)                                                                     \
+  X(PFNGLGETPROGRAMINFOLOGPROC, GetProgramInfoLog) X(PFNGLDELETESHADERPROC,                                  \
+                                                     DeleteShader) X(PFNGLDELETEPROGRAMPROC, DeleteProgram)  \
+      X(PFNGLUSEPROGRAMPROC, UseProgram) X(PFNGLGETUNIFORMLOCATIONPROC, GetUniformLocation)                  \
+          X(PFNGLUNIFORM1IPROC, Uniform1i) X(PFNGLGETUNIFORMBLOCKINDEXPROC, GetUniformBlockIndex)            \
+              X(PFNGLUNIFORMBLOCKBINDINGPROC, UniformBlockBinding) X(PFNGLGENBUFFERSPROC, GenBuffers)        \
+                  X(PFNGLDELETEBUFFERSPROC, DeleteBuffers) X(PFNGLBINDBUFFERPROC, BindBuffer)                \
+                      X(PFNGLBINDBUFFERBASEPROC, BindBufferBase) X(PFNGLBUFFERDATAPROC, BufferData)          \
                           X(PFNGLGENTEXTURESPROC, GenTextures) X(PFNGLDELETETEXTURESPROC, DeleteTextures) X( \
                               PFNGLACTIVETEXTUREPROC, ActiveTexture) X(PFNGLBINDTEXTUREPROC, BindTexture)    \
                               X(PFNGLTEXPARAMETERIPROC, TexParameteri) X(PFNGLPIXELSTOREIPROC, PixelStorei)  \
@@ -42,19 +44,19 @@
                                                                   X(PFNGLDRAWARRAYSPROC, DrawArrays)         \
                                                                       X(PFNGLREADPIXELSPROC, ReadPixels)
 
-enum { MOST_TEXTURES = 32, SIDE = 256 /* of the picture that queries are drawn in */ };
+enum { SIDE = 256 /* of the picture that queries are drawn in */ };
 
-struct gl_host {
-  btf_context *ctx; /* for the JSON parser */
+typedef struct gl_host {
+  gpu_host host;
   gl_dialect dialect;
   EGLDisplay display;
   EGLContext context;
-  GLuint program, textures[MOST_TEXTURES], texture_count, block, queries[3], target, frame, vertices;
+  GLuint program, textures[FOLDER_MOST_TEXTURES], texture_count, block, queries[3], target, frame, vertices;
   char message[4096];
 #define DECLARE(type, name) type name;
   GL_FUNCTIONS(DECLARE)
 #undef DECLARE
-};
+} gl_host;
 
 static const char *const names[GL_DIALECTS] = {"GLSL ES 3.00", "GLSL 3.30", "GLSL 4.50"};
 
@@ -100,38 +102,6 @@ static void make_picture(gl_host *h, GLuint texture) {
   h->TexImage2D(GL_TEXTURE_2D, 0, GL_RGBA32F, SIDE, SIDE, 0, GL_RGBA, GL_FLOAT, NULL);
 }
 
-gl_host *gl_host_open(gl_dialect dialect, const char **why) {
-  gl_host *h = calloc(1, sizeof *h);
-  *why = "no memory";
-  if (h == NULL) return NULL;
-  h->dialect = dialect;
-  if (btf_context_create(NULL, &h->ctx) != BTF_OK || !make_context(h, why) || !get_functions(h)) {
-    gl_host_close(h);
-    return NULL;
-  }
-  h->GenTextures(3, h->queries);
-  h->GenTextures(1, &h->target);
-  for (int i = 0; i < 3; i++) make_picture(h, h->queries[i]);
-  make_picture(h, h->target);
-  h->GenFramebuffers(1, &h->frame);
-  h->BindFramebuffer(GL_FRAMEBUFFER, h->frame);
-  h->FramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, h->target, 0);
-  h->GenVertexArrays(1, &h->vertices);
-  h->BindVertexArray(h->vertices);
-  h->PixelStorei(GL_UNPACK_ALIGNMENT, 1);
-  *why = "a picture of floats cannot be drawn to";
-  if (h->CheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
-    gl_host_close(h);
-    return NULL;
-  }
-  *why = NULL;
-  return h;
-}
-
-const char *gl_host_renderer(const gl_host *h) {
-  return (const char *)h->GetString(GL_RENDERER);
-}
-
 static void unload(gl_host *h) {
   if (h->program != 0) h->DeleteProgram(h->program);
   if (h->texture_count > 0) h->DeleteTextures((GLsizei)h->texture_count, h->textures);
@@ -139,35 +109,23 @@ static void unload(gl_host *h) {
   h->program = h->texture_count = h->block = 0;
 }
 
-void gl_host_close(gl_host *h) {
-  if (h == NULL) return;
+static void close_host(gpu_host *host) {
+  gl_host *h = (gl_host *)host;
   if (h->frame != 0) unload(h);
   if (h->display != EGL_NO_DISPLAY) {
     eglMakeCurrent(h->display, EGL_NO_SURFACE, EGL_NO_SURFACE, EGL_NO_CONTEXT);
     if (h->context != EGL_NO_CONTEXT) eglDestroyContext(h->display, h->context);
     eglTerminate(h->display);
   }
-  btf_context_release(h->ctx);
   free(h);
 }
 
 /* ---- the export ---- */
 
-static char *read_text(const char *folder, const char *name, size_t *size) {
-  char path[1024];
-  snprintf(path, sizeof path, "%s/%s", folder, name);
-  FILE *file = fopen(path, "rb");
-  if (file == NULL) return NULL;
-  fseek(file, 0, SEEK_END);
-  const long length = ftell(file);
-  rewind(file);
-  char *text = length >= 0 ? malloc((size_t)length + 1) : NULL;
-  if (text != NULL) {
-    *size = fread(text, 1, (size_t)length, file);
-    text[*size] = '\0';
-  }
-  fclose(file);
-  return text;
+static GLenum target_of(const folder_texture *t) {
+  return t->dimension == BTF_TEXTURE_3D         ? GL_TEXTURE_3D
+         : t->dimension == BTF_TEXTURE_2D_ARRAY ? GL_TEXTURE_2D_ARRAY
+                                                : GL_TEXTURE_2D;
 }
 
 typedef struct upload_format {
@@ -189,87 +147,30 @@ static const upload_format *upload_format_of(uint32_t vk) {
   return NULL;
 }
 
-static uint32_t whole(const btfi_json *object, const char *key) {
-  return (uint32_t)btfi_json_number(btfi_json_get(object, key));
-}
-
-static bool is_word(const btfi_json *object, const char *key, const char *word) {
-  const char *text = btfi_json_string(btfi_json_get(object, key));
-  return text != NULL && strcmp(text, word) == 0;
-}
-
-static GLint wrap_of(const btfi_json *entry, uint64_t axis) {
-  const char *word = btfi_json_string(btfi_json_at(btfi_json_get(entry, "wrap"), axis));
-  return word != NULL && strcmp(word, "repeat") == 0 ? GL_REPEAT : GL_CLAMP_TO_EDGE;
-}
-
-static const char *put_texture(gl_host *h, const btfi_json *entry, const ktx2_texture *t) {
-  const upload_format *f = upload_format_of(t->vk_format);
-  const bool is_3d = is_word(entry, "dimension", "3d"), is_array = is_word(entry, "dimension", "2d_array");
-  const GLenum at = is_3d ? GL_TEXTURE_3D : is_array ? GL_TEXTURE_2D_ARRAY : GL_TEXTURE_2D;
-  const bool filtered = is_word(entry, "min_filter", "linear");
-  const uint32_t slices = is_3d ? whole(entry, "depth") : whole(entry, "layers");
-  if (t->vk_format != whole(entry, "vk_format") || t->width != whole(entry, "width") ||
-      t->height != whole(entry, "height") || t->levels != whole(entry, "levels") ||
-      t->depth != (is_3d ? slices : 0) || t->layers != (is_array ? slices : 0))
-    return "manifest and texture disagree";
-  h->BindTexture(at, h->textures[h->texture_count]);
-  h->TexParameteri(at, GL_TEXTURE_WRAP_S, wrap_of(entry, 0));
-  h->TexParameteri(at, GL_TEXTURE_WRAP_T, wrap_of(entry, 1));
+static const char *put_texture(gl_host *h, const folder_texture *t) {
+  const ktx2_texture *file = &t->file;
+  const upload_format *f = upload_format_of(file->vk_format);
+  const GLenum at = target_of(t);
+  if (f == NULL) return "a texture has texels of an unknown format";
+  h->GenTextures(1, &h->textures[h->texture_count]);
+  h->BindTexture(at, h->textures[h->texture_count++]);
+  h->TexParameteri(at, GL_TEXTURE_WRAP_S, t->repeat[0] ? GL_REPEAT : GL_CLAMP_TO_EDGE);
+  h->TexParameteri(at, GL_TEXTURE_WRAP_T, t->repeat[1] ? GL_REPEAT : GL_CLAMP_TO_EDGE);
   h->TexParameteri(at, GL_TEXTURE_WRAP_R, GL_CLAMP_TO_EDGE);
-  h->TexParameteri(at, GL_TEXTURE_MAX_LEVEL, (GLint)t->levels - 1);
-  h->TexParameteri(at, GL_TEXTURE_MAG_FILTER, filtered ? GL_LINEAR : GL_NEAREST);
-  h->TexParameteri(at, GL_TEXTURE_MIN_FILTER, filtered ? GL_LINEAR_MIPMAP_LINEAR : GL_NEAREST_MIPMAP_NEAREST);
-  for (uint32_t l = 0; l < t->levels; l++) {
-    const GLsizei w = (GLsizei)(t->width >> l ? t->width >> l : 1),
-                  v = (GLsizei)(t->height >> l ? t->height >> l : 1);
+  h->TexParameteri(at, GL_TEXTURE_MAX_LEVEL, (GLint)file->levels - 1);
+  h->TexParameteri(at, GL_TEXTURE_MAG_FILTER, t->filtered ? GL_LINEAR : GL_NEAREST);
+  h->TexParameteri(at, GL_TEXTURE_MIN_FILTER,
+                   t->filtered ? GL_LINEAR_MIPMAP_LINEAR : GL_NEAREST_MIPMAP_NEAREST);
+  for (uint32_t l = 0; l < file->levels; l++) {
+    const GLsizei w = (GLsizei)(file->width >> l ? file->width >> l : 1),
+                  v = (GLsizei)(file->height >> l ? file->height >> l : 1);
     if (at == GL_TEXTURE_2D)
-      h->TexImage2D(at, (GLint)l, f->internal, w, v, 0, f->format, f->type, t->level[l]);
+      h->TexImage2D(at, (GLint)l, f->internal, w, v, 0, f->format, f->type, file->level[l]);
     else
-      h->TexImage3D(at, (GLint)l, f->internal, w, v, (GLsizei)slices, 0, f->format, f->type, t->level[l]);
+      h->TexImage3D(at, (GLint)l, f->internal, w, v, (GLsizei)t->slices, 0, f->format, f->type,
+                    file->level[l]);
   }
   return h->GetError() == GL_NO_ERROR ? NULL : "GL refuses a texture";
-}
-
-static const char *load_texture(gl_host *h, const char *folder, const btfi_json *entry) {
-  const char *file = btfi_json_string(btfi_json_get(entry, "file")), *wrong;
-  ktx2_texture texture;
-  size_t size = 0;
-  if (file == NULL || h->texture_count == MOST_TEXTURES) return "an entry without file, or too many";
-  char *bytes = read_text(folder, file, &size);
-  if (bytes == NULL) return "a texture cannot be read";
-  wrong = ktx2_read((const unsigned char *)bytes, size, &texture);
-  if (wrong == NULL) {
-    h->GenTextures(1, &h->textures[h->texture_count]);
-    wrong = put_texture(h, entry, &texture);
-    h->texture_count++;
-  }
-  ktx2_free(&texture);
-  free(bytes);
-  return wrong;
-}
-
-/* The block from the values of the manifest, by their offsets: arrays have 16 bytes an element. */
-static void load_block(gl_host *h, const btfi_json *manifest) {
-  unsigned char block[16384] = {0};
-  const uint32_t size = whole(btfi_json_get(manifest, "uniform_block"), "size");
-  const btfi_json *fields = btfi_json_get(manifest, "uniforms");
-  for (uint64_t i = 0; i < btfi_json_length(fields); i++) {
-    const btfi_json *field = btfi_json_at(fields, i), *values = btfi_json_get(field, "value");
-    const uint64_t count = whole(field, "count"), components = btfi_json_length(values) / (count ? count : 1);
-    const bool integer = is_word(field, "type", "int") || is_word(field, "type", "ivec4");
-    for (uint64_t k = 0; k < btfi_json_length(values); k++) {
-      const uint64_t at = whole(field, "offset") + k / components * 16 + k % components * 4;
-      const double value = btfi_json_number(btfi_json_at(values, k));
-      const float real = (float)value;
-      const int32_t number = (int32_t)value;
-      if (at + 4 <= sizeof block)
-        memcpy(block + at, integer ? (const void *)&number : (const void *)&real, 4);
-    }
-  }
-  h->GenBuffers(1, &h->block);
-  h->BindBuffer(GL_UNIFORM_BUFFER, h->block);
-  h->BufferData(GL_UNIFORM_BUFFER, (GLsizeiptr)size, block, GL_STATIC_DRAW);
 }
 
 static GLuint compile(gl_host *h, GLenum kind, const char *body, const char *tail) {
@@ -323,15 +224,12 @@ static void bind(gl_host *h, const char *name, GLuint unit, GLenum target, GLuin
   h->Uniform1i(h->GetUniformLocation(h->program, name), (GLint)unit);
 }
 
-static void bind_all(gl_host *h, const btfi_json *textures) {
+static void bind_all(gl_host *h, const gpu_folder *folder) {
   static const char *const names_of_queries[] = {"query0", "query1", "query2"};
   h->UseProgram(h->program);
   for (GLuint i = 0; i < h->texture_count; i++) {
-    const btfi_json *entry = btfi_json_at(textures, i);
-    const GLenum target = is_word(entry, "dimension", "3d")         ? GL_TEXTURE_3D
-                          : is_word(entry, "dimension", "2d_array") ? GL_TEXTURE_2D_ARRAY
-                                                                    : GL_TEXTURE_2D;
-    bind(h, btfi_json_string(btfi_json_get(entry, "name")), i + 3, target, h->textures[i]);
+    const folder_texture *t = &folder->textures[i];
+    bind(h, t->name, i + 3, target_of(t), h->textures[i]);
   }
   for (GLuint i = 0; i < 3; i++) bind(h, names_of_queries[i], i, GL_TEXTURE_2D, h->queries[i]);
   const GLuint block = h->GetUniformBlockIndex(h->program, "btf_uniforms");
@@ -339,32 +237,20 @@ static void bind_all(gl_host *h, const btfi_json *textures) {
   h->BindBufferBase(GL_UNIFORM_BUFFER, 0, h->block);
 }
 
-const char *gl_host_load(gl_host *h, const char *folder, char *(*edit)(char *glsl)) {
-  size_t size = 0;
-  btfi_json *manifest = NULL;
-  const char *wrong = "no manifest";
-  char *text = read_text(folder, "manifest.json", &size), *glsl = read_text(folder, "btf.glsl", &size);
+static const char *load(gpu_host *host, const gpu_folder *folder) {
+  gl_host *h = (gl_host *)host;
+  const char *wrong = NULL;
   unload(h);
   h->ActiveTexture(GL_TEXTURE0);
-  if (glsl != NULL && edit != NULL) glsl = edit(glsl);
-  if (text != NULL && glsl != NULL &&
-      btfi_json_parse(h->ctx, folder, text, strlen(text), &manifest) == BTF_OK &&
-      is_word(manifest, "format", "btf-gpu") && whole(manifest, "version") == 1) {
-    const btfi_json *textures = btfi_json_get(manifest, "textures");
-    wrong = NULL;
-    for (uint64_t i = 0; wrong == NULL && i < btfi_json_length(textures); i++)
-      wrong = load_texture(h, folder, btfi_json_at(textures, i));
-    if (wrong == NULL) wrong = make_program(h, glsl);
-    if (wrong == NULL) {
-      load_block(h, manifest);
-      bind_all(h, textures);
-      if (h->GetError() != GL_NO_ERROR) wrong = "GL refuses the export";
-    }
-  }
-  btfi_json_free(manifest);
-  free(text);
-  free(glsl);
-  return wrong;
+  for (uint32_t i = 0; wrong == NULL && i < folder->texture_count; i++)
+    wrong = put_texture(h, &folder->textures[i]);
+  if (wrong == NULL) wrong = make_program(h, folder->glsl);
+  if (wrong != NULL) return wrong;
+  h->GenBuffers(1, &h->block);
+  h->BindBuffer(GL_UNIFORM_BUFFER, h->block);
+  h->BufferData(GL_UNIFORM_BUFFER, (GLsizeiptr)folder->block_size, folder->block, GL_STATIC_DRAW);
+  bind_all(h, folder);
+  return h->GetError() == GL_NO_ERROR ? NULL : "GL refuses the export";
 }
 
 /* ---- queries ---- */
@@ -381,7 +267,8 @@ static void put_queries(gl_host *h, const float *queries, size_t count) {
   }
 }
 
-const char *gl_host_eval(gl_host *h, const float *queries, size_t count, float *out) {
+static const char *evaluate(gpu_host *host, const float *queries, size_t count, float *out) {
+  gl_host *h = (gl_host *)host;
   static float picture[SIDE * SIDE][4];
   while (count > 0) {
     const size_t n = count < SIDE * SIDE ? count : SIDE * SIDE;
@@ -396,4 +283,34 @@ const char *gl_host_eval(gl_host *h, const float *queries, size_t count, float *
     count -= n;
   }
   return NULL;
+}
+
+gpu_host *gl_host_open(gl_dialect dialect, const char **why) {
+  gl_host *h = calloc(1, sizeof *h);
+  *why = "no memory";
+  if (h == NULL) return NULL;
+  h->host = (gpu_host){load, evaluate, close_host, ""};
+  h->dialect = dialect;
+  if (!make_context(h, why) || !get_functions(h)) {
+    close_host(&h->host);
+    return NULL;
+  }
+  h->GenTextures(3, h->queries);
+  h->GenTextures(1, &h->target);
+  for (int i = 0; i < 3; i++) make_picture(h, h->queries[i]);
+  make_picture(h, h->target);
+  h->GenFramebuffers(1, &h->frame);
+  h->BindFramebuffer(GL_FRAMEBUFFER, h->frame);
+  h->FramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, h->target, 0);
+  h->GenVertexArrays(1, &h->vertices);
+  h->BindVertexArray(h->vertices);
+  h->PixelStorei(GL_UNPACK_ALIGNMENT, 1);
+  *why = "a picture of floats cannot be drawn to";
+  if (h->CheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
+    close_host(&h->host);
+    return NULL;
+  }
+  *why = NULL;
+  snprintf(h->host.name, sizeof h->host.name, "%s", (const char *)h->GetString(GL_RENDERER));
+  return &h->host;
 }
