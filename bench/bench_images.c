@@ -104,29 +104,51 @@ static double decode_alone(const jpeg_file *files, uint32_t side, uint32_t threa
   return now() - start;
 }
 
-/* A view at a time, as `btf import` does. */
-static int read_all(uint32_t side, uint32_t threads, float *samples, double *opening, double *reading) {
+typedef struct reading {
+  btf_dataset *ds;
+  uint32_t side;
+  atomic_uint next;
+  atomic_bool failed;
+} reading;
+
+/* A picture at a time by every thread, as `btf import` does. */
+static void *read_some(void *user) {
+  reading *r = user;
+  const ptrdiff_t y = 12 * (ptrdiff_t)r->side, light = y * (ptrdiff_t)r->side;
+  const btf_strides strides = {.view = light, .light = light, .y = y, .x = 12, .channel = 4};
+  float *samples = malloc((size_t)light);
+  if (samples == NULL) atomic_store(&r->failed, true);
+  for (uint32_t i; !atomic_load(&r->failed) && (i = atomic_fetch_add(&r->next, 1)) < CASE_PAIRS;) {
+    const btf_block block = {i / CASE_DIRECTIONS, 1, i % CASE_DIRECTIONS, 1, 0, 0, r->side, r->side};
+    if (btf_dataset_read(r->ds, &block, samples, &strides) == BTF_OK) continue;
+    fprintf(stderr, "bench_images: %s\n", btf_error_message());
+    atomic_store(&r->failed, true);
+  }
+  free(samples);
+  return NULL;
+}
+
+static int read_all(uint32_t side, uint32_t threads, double *opening, double *seconds) {
   btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
   btf_context *ctx = NULL;
-  btf_dataset *ds = NULL;
+  reading r = {.side = side};
+  pthread_t ids[MOST_THREADS];
   desc.max_threads = threads;
   btf_status status = btf_context_create(&desc, &ctx);
   if (status == BTF_OK) status = btf_formats_register(ctx);
   double start = now();
-  if (status == BTF_OK) status = btf_format_open(ctx, archive, NULL, NULL, &ds);
+  if (status == BTF_OK) status = btf_format_open(ctx, archive, NULL, NULL, &r.ds);
   *opening = now() - start;
-  start = now();
-  for (uint32_t view = 0; view < CASE_DIRECTIONS && status == BTF_OK; view++) {
-    const btf_block block = {view, 1, 0, CASE_DIRECTIONS, 0, 0, side, side};
-    const ptrdiff_t y = 12 * (ptrdiff_t)side, light = y * (ptrdiff_t)side;
-    const btf_strides strides = {.view = 81 * light, .light = light, .y = y, .x = 12, .channel = 4};
-    status = btf_dataset_read(ds, &block, samples, &strides);
-  }
-  *reading = now() - start;
   if (status != BTF_OK) fprintf(stderr, "bench_images: %s\n", btf_error_message());
-  btf_dataset_release(ds);
+  atomic_store(&r.failed, status != BTF_OK);
+  start = now();
+  for (uint32_t i = 0; i < threads; i++)
+    if (pthread_create(&ids[i], NULL, read_some, &r) != 0) abort();
+  for (uint32_t i = 0; i < threads; i++) pthread_join(ids[i], NULL);
+  *seconds = now() - start;
+  btf_dataset_release(r.ds);
   btf_context_release(ctx);
-  return status == BTF_OK ? 0 : 1;
+  return atomic_load(&r.failed);
 }
 
 static int make_archive(jpeg_file *files, uint32_t side) {
@@ -156,17 +178,16 @@ int main(int argc, char **argv) {
     fprintf(stderr, "usage: bench_images [SIDE up to 1024 [THREADS up to %d]]\n", MOST_THREADS);
     return 2;
   }
-  float *samples = malloc(81 * 12 * (size_t)side * side);
-  int failed = samples == NULL || make_archive(files, side) != 0;
+  int failed = make_archive(files, side);
   for (int r = 0; r < ROUNDS && !failed; r++) {
-    double opening, reading;
+    double opening, seconds;
     const clock_t begin = clock();
     const double alone = decode_alone(files, side, threads);
     const clock_t middle = clock();
-    failed = read_all(side, threads, samples, &opening, &reading);
-    ratios[r] = (opening + reading) / alone;
+    failed = read_all(side, threads, &opening, &seconds);
+    ratios[r] = (opening + seconds) / alone;
     printf("libjpeg alone %.3f s, opening %.3f s, reading %.3f s, ratio %.3f; of processor time %.3f\n",
-           alone, opening, reading, ratios[r], (double)(clock() - middle) / (double)(middle - begin));
+           alone, opening, seconds, ratios[r], (double)(clock() - middle) / (double)(middle - begin));
     fflush(stdout);
   }
   if (!failed) {
@@ -174,7 +195,6 @@ int main(int argc, char **argv) {
     printf("%u x %u, %u threads: median ratio %.3f (at most 1.3)\n", side, side, threads, ratios[ROUNDS / 2]);
   }
   for (uint32_t i = 0; i < CASE_PAIRS; i++) free(files[i].data);
-  free(samples);
   remove(archive);
   return failed;
 }

@@ -147,7 +147,8 @@ function(libbtf_format_pictures name)
   if(NOT TARGET btf_formats_picture)
     set(folder "${PROJECT_SOURCE_DIR}/formats/source")
     add_library(btf_formats_picture OBJECT
-      "${folder}/picture.c" "${folder}/picture_hdr.c" "${folder}/picture_jpeg.c" "${folder}/picture_png.c")
+      "${folder}/picture.c" "${folder}/picture_hdr.c" "${folder}/picture_jpeg.c"
+      "${folder}/picture_jpeg_memory.c" "${folder}/picture_png.c")
     target_link_libraries(btf_formats_picture PRIVATE PNG::PNG JPEG::JPEG)
   endif()
 endfunction()

@@ -31,7 +31,11 @@ static void *counted_alloc(void *user, size_t size, size_t align) {
   const long number = ++memory->total_allocations;
   const int fail =
       memory->fail_at > 0 && (number == memory->fail_at || (memory->persistent && number > memory->fail_at));
-  if (!fail) memory->live_blocks++;
+  if (!fail) {
+    memory->live_blocks++;
+    memory->live_bytes += size;
+    if (memory->live_bytes > memory->peak_bytes) memory->peak_bytes = memory->live_bytes;
+  }
   pthread_mutex_unlock(&count_mutex);
   if (fail) return NULL;
 
@@ -40,6 +44,7 @@ static void *counted_alloc(void *user, size_t size, size_t align) {
   if (!block) {
     pthread_mutex_lock(&count_mutex);
     memory->live_blocks--;
+    memory->live_bytes -= size;
     pthread_mutex_unlock(&count_mutex);
     return NULL;
   }
@@ -63,6 +68,7 @@ static void counted_free(void *user, void *ptr, size_t size) {
   free(block);
   pthread_mutex_lock(&count_mutex);
   memory->live_blocks--;
+  memory->live_bytes -= size;
   pthread_mutex_unlock(&count_mutex);
 }
 

@@ -49,6 +49,7 @@
  * leaks. */
 typedef struct test_memory {
   long live_blocks, total_allocations;
+  size_t live_bytes, peak_bytes;
   long fail_at;   /* the allocation with this number (from 1) fails; 0 = none */
   int persistent; /* and all after it */
 } test_memory;

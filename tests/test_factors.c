@@ -14,6 +14,7 @@ typedef struct source {
   float angular[MOST][ROWS], texel[VIEWS][MOST][TEXELS];
   btf_status refuses;
   uint32_t value_bytes;
+  const char *lens; /* a note of it, with which the setup is another; NULL = none */
 } source;
 
 static float gaussian(uint64_t *seed) {
@@ -79,8 +80,9 @@ static void fill(source *s, uint32_t products, uint32_t components) {
 }
 
 static btf_status make(btf_context *ctx, source *s, btf_dataset **out) {
-  static const char *const notes[] = {"setup",       "a dome",          "",  "no key",
-                                      "btf.command", "not ours to set", NULL};
+  const char *const notes[] = {
+      "setup",           s->lens != NULL ? "an arm" : "a dome", "",      "no key", "btf.command",
+      "not ours to set", s->lens != NULL ? "lens" : NULL,       s->lens, NULL};
   btf_dataset_desc d = BTF_DATASET_DESC_INIT;
   btf_dirset *lights, *views;
   float xyz[2][3 * LIGHTS];
@@ -304,6 +306,72 @@ static void test_notes(void **state) {
     expect_note(model);
   }
   btf_model_release(model);
+  test_context_done(ctx, &memory);
+}
+
+static void expect_notes(const btf_file *file, uint32_t number, const char *setup, const char *lens) {
+  btf_model *model;
+  btf_dataset *ds;
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  uint32_t texts = 0;
+  assert_ok(btf_file_load_model(file, number, &model));
+  assert_ok(btf_dataset_from_model(model, &ds));
+  assert_ok(btf_dataset_describe(ds, &d));
+  while (d.notes[texts] != NULL) texts++;
+  assert_int_equal(texts, lens != NULL ? 4 : 2);
+  assert_string_equal(d.notes[0], "setup");
+  assert_string_equal(d.notes[1], setup);
+  if (lens != NULL) assert_string_equal(d.notes[2], "lens");
+  if (lens != NULL) assert_string_equal(d.notes[3], lens);
+  btf_dataset_release(ds);
+  btf_model_release(model);
+}
+
+static btf_writer *start_file(btf_context *ctx, const char *path) {
+  btf_io io = BTF_IO_INIT;
+  btf_writer *w;
+  assert_ok(btf_io_file(ctx, path, BTF_IO_WRITE, &io));
+  assert_ok(btf_writer_open(ctx, &io, 0, &w));
+  return w;
+}
+
+/* Models in one file have notes of their own, also when they are copied behind others. */
+static void test_notes_of_each_model(void **state) {
+  (void)state;
+  static source s;
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  btf_model *models[2];
+  btf_file *file;
+  for (int i = 0; i < 2; i++) {
+    btf_dataset *ds;
+    fill(&s, 1, 3);
+    s.lens = i == 1 ? "wide" : NULL;
+    assert_ok(make(ctx, &s, &ds));
+    assert_ok(keep(ds, ctx, "fmf", "", NULL, &models[i]));
+    btf_dataset_release(ds);
+  }
+  const char *two = test_path("two.btfz"), *five = test_path("five.btfz");
+  btf_writer *w = start_file(ctx, two);
+  for (int i = 0; i < 2; i++) assert_ok(btf_writer_model(w, models[i], NULL));
+  assert_ok(btf_writer_finish(w));
+  assert_ok(btf_file_open_path(ctx, two, 0, &file));
+  assert_string_equal(btf_file_metadata(file, "btf.note.1.lens"), "wide");
+  assert_null(btf_file_metadata(file, "lens"));
+  expect_notes(file, 0, "a dome", NULL);
+  expect_notes(file, 1, "an arm", "wide");
+  w = start_file(ctx, five);
+  assert_ok(btf_writer_model(w, models[1], NULL));
+  assert_ok(btf_writer_copy(w, file));
+  assert_ok(btf_writer_copy(w, file));
+  btf_file_close(file);
+  assert_ok(btf_writer_finish(w));
+  assert_ok(btf_file_open_path(ctx, five, 0, &file));
+  assert_int_equal(btf_file_model_count(file), 5);
+  for (uint32_t i = 0; i < 5; i++)
+    expect_notes(file, i, i % 2 == 1 ? "a dome" : "an arm", i % 2 == 1 ? NULL : "wide");
+  btf_file_close(file);
+  for (int i = 0; i < 2; i++) btf_model_release(models[i]);
   test_context_done(ctx, &memory);
 }
 
@@ -594,6 +662,7 @@ int main(void) {
       cmocka_unit_test(test_levels),
       cmocka_unit_test(test_models_are_data),
       cmocka_unit_test(test_notes),
+      cmocka_unit_test(test_notes_of_each_model),
       cmocka_unit_test(test_zeros),
       cmocka_unit_test(test_refusals),
       cmocka_unit_test(test_arguments),

@@ -2,6 +2,8 @@
 /* Truncated SVD of a blocked matrix, against LAPACK's full one in double. */
 #include "svd_matrices.h"
 
+#include <cblas.h>
+
 typedef struct spectrum_case {
   const char *name;
   double (*spectrum)(uint64_t);
@@ -575,6 +577,28 @@ static void test_threads_agree(void **state) {
   matrix_free(&m);
 }
 
+/* The rest runs with one thread of OpenBLAS: more wait for each other by spinning. */
+static void test_threads_of_blas(void **state) {
+  (void)state;
+  const int usual = openblas_get_num_threads();
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  const spectrum_case *sc = &spectrum_cases[2];
+  matrix m = with_spectrum(sc->items, sc->length, sc->spectrum, 50);
+  openblas_set_num_threads(2);
+  for (m.layout = 0; m.layout < 2; m.layout++) {
+    const btf_svd_desc desc = describe(&m, sc->rank);
+    btf_svd_result r = fresh();
+    assert_ok(btfi_svd(ctx, &desc, NULL, 0, 1, &r));
+    check_result(&m, &r);
+    check_optimal(&m, &r, 1.001);
+    btfi_svd_free(ctx, &r);
+  }
+  openblas_set_num_threads(usual);
+  matrix_free(&m);
+  test_context_done(ctx, &memory);
+}
+
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_matches_lapack),
@@ -595,6 +619,7 @@ int main(void) {
       cmocka_unit_test(test_kernels_agree),
       cmocka_unit_test(test_scale),
       cmocka_unit_test(test_threads_agree),
+      cmocka_unit_test(test_threads_of_blas),
   };
   return btf_run("svd", tests);
 }

@@ -37,18 +37,25 @@ static bool earlier(const audit_place *a, const audit_place *b) {
 
 /* ---- reading what may hold NaN ---- */
 
-/* Reads texels of one picture; where they cannot be read halves of them, and a texel alone becomes NaN. */
-static btf_status read_part(const sample_source *s, uint32_t view, uint32_t light, const btf_block *part,
-                            float *picture) {
+/* Reads texels of one picture. */
+static btf_status read_texels(const sample_source *s, uint32_t view, uint32_t light, const btf_block *part,
+                              float *picture) {
   const ptrdiff_t x = (ptrdiff_t)(s->channels * sizeof(float)), y = x * (ptrdiff_t)s->width;
   const btf_strides strides = {0, 0, y, x, sizeof(float)};
   float *dst = picture + ((size_t)part->y0 * s->width + part->x0) * s->channels;
   btf_block block = *part;
   block.view0 = view;
   block.light0 = light;
-  const btf_status status = btf_dataset_read(s->dataset, &block, dst, &strides);
+  return btf_dataset_read(s->dataset, &block, dst, &strides);
+}
+
+/* Where they cannot be read halves of them, and a texel alone becomes NaN. */
+static btf_status read_part(const sample_source *s, uint32_t view, uint32_t light, const btf_block *part,
+                            float *picture) {
+  const btf_status status = read_texels(s, view, light, part, picture);
   if (status != BTF_E_CORRUPT) return status;
   if (part->width == 1 && part->height == 1) {
+    float *dst = picture + ((size_t)part->y0 * s->width + part->x0) * s->channels;
     for (uint32_t c = 0; c < s->channels; c++) dst[c] = NAN;
     return BTF_OK;
   }
@@ -66,14 +73,27 @@ static btf_status read_part(const sample_source *s, uint32_t view, uint32_t ligh
   return halves == BTF_OK ? read_part(s, view, light, &second, picture) : halves;
 }
 
+/* A sample that is not finite is named by its place. What is said alike of two texels is of the picture,
+ * which is damaged. */
+static bool is_damaged(const sample_source *s, uint32_t view, uint32_t light, float *picture) {
+  const btf_block corners[] = {{0, 1, 0, 1, 0, 0, 1, 1}, {0, 1, 0, 1, s->width - 1, s->height - 1, 1, 1}};
+  char first[512];
+  if (s->width == 1 && s->height == 1) return false;
+  if (read_texels(s, view, light, &corners[0], picture) != BTF_E_CORRUPT) return false;
+  snprintf(first, sizeof first, "%s", btf_error_message());
+  return read_texels(s, view, light, &corners[1], picture) == BTF_E_CORRUPT &&
+         strcmp(first, btf_error_message()) == 0;
+}
+
 static btf_status read_lights(const sample_source *s, uint32_t view, uint32_t light0, uint32_t lights,
                               float *dst) {
   const btf_status status = sample_source_read(s, view, light0, lights, dst);
   if (status != BTF_E_CORRUPT || s->dataset == NULL) return status;
   const btf_block whole = {0, 1, 0, 1, 0, 0, s->width, s->height};
   for (uint32_t l = 0; l < lights; l++) {
-    const btf_status one =
-        read_part(s, view, light0 + l, &whole, dst + (size_t)l * sample_source_image_values(s));
+    float *picture = dst + (size_t)l * sample_source_image_values(s);
+    if (is_damaged(s, view, light0 + l, picture)) return BTF_E_CORRUPT;
+    const btf_status one = read_part(s, view, light0 + l, &whole, picture);
     if (one != BTF_OK) return one;
   }
   return BTF_OK;
@@ -86,19 +106,26 @@ static void note(uint64_t *count, audit_place *first, const audit_place *place) 
   (*count)++;
 }
 
-static void note_extremes(audit *a, float value) {
+static void note_extremes(audit *a, float value, float cosine, uint32_t view) {
   if (value < a->least) a->least = value;
-  if (value == a->most) a->at_most++;
   if (value > a->most) {
     a->most = value;
-    a->at_most = 1;
+    a->at_most = a->most_views = 0;
+    a->most_low = a->most_high = cosine;
   }
+  if (value != a->most) return;
+  a->most_low = fminf(a->most_low, cosine);
+  a->most_high = fmaxf(a->most_high, cosine);
+  if (a->most_views == 0 || a->most_in_view != view) a->most_views++;
+  a->most_in_view = view;
+  a->at_most++;
 }
 
 static void audit_picture(const audit_run_state *s, auditor *w, uint32_t view, uint32_t light,
                           const float *picture) {
   const sample_source *source = s->source;
   const uint64_t texels = (uint64_t)source->width * source->height;
+  const float cosine = btf_dirset_directions(source->light_set)[3 * light + 2];
   double sum = 0;
   uint64_t finite = 0;
   bool black = true;
@@ -114,7 +141,7 @@ static void audit_picture(const audit_run_state *s, auditor *w, uint32_t view, u
       }
       if (value < 0) note(&w->seen.negative, &w->seen.first_negative, &place);
       if (value != 0) black = false;
-      note_extremes(&w->seen, value);
+      note_extremes(&w->seen, value, cosine, view);
       const uint64_t k = t * source->channels + c;
       if (value < w->low[k]) w->low[k] = value;
       if (value > w->high[k]) w->high[k] = value;
@@ -187,10 +214,17 @@ static void merge(audit *all, const audit *part) {
   all->negative += part->negative;
   all->missing += part->missing;
   all->least = fmin(all->least, part->least);
-  if (part->most == all->most)
+  if (part->most == all->most) {
     all->at_most += part->at_most;
-  else if (part->most > all->most)
+    all->most_views += part->most_views;
+    all->most_low = fminf(all->most_low, part->most_low);
+    all->most_high = fmaxf(all->most_high, part->most_high);
+  } else if (part->most > all->most) {
     all->at_most = part->at_most;
+    all->most_views = part->most_views;
+    all->most_low = part->most_low;
+    all->most_high = part->most_high;
+  }
   all->most = fmax(all->most, part->most);
   if (part->albedo > all->albedo || (part->albedo == all->albedo && part->albedo_view < all->albedo_view)) {
     all->albedo = part->albedo;
@@ -215,6 +249,8 @@ static bool range(const audit_run_state *s, uint64_t k, float *low, float *high)
 
 static void find_dead(const audit_run_state *s) {
   const sample_source *source = s->source;
+  const bool matte =
+      s->result->most_views == source->views && s->result->most_high - s->result->most_low < 1e-3f;
   const uint64_t texels = (uint64_t)source->width * source->height;
   for (uint64_t t = 0; t < texels; t++) {
     bool varies = false;
@@ -222,7 +258,7 @@ static void find_dead(const audit_run_state *s) {
       float low, high;
       if (!range(s, t * source->channels + c, &low, &high)) continue;
       if (high > low) varies = true;
-      if (high > low && high == (float)s->result->most) s->result->cut_off = true;
+      if (!matte && high > low && high == (float)s->result->most) s->result->cut_off = true;
     }
     if (!varies && s->result->dead++ == 0)
       s->result->first_dead =

@@ -16,8 +16,13 @@ typedef struct audit {
   uint64_t not_finite, negative;
   audit_place first_not_finite, first_negative; /* in the order of views, lights and texels */
   double least, most;
-  uint64_t at_most; /* values equal to the largest */
-  bool cut_off;     /* some of these are of texels that have other values as well */
+  uint64_t at_most;                  /* values equal to the largest */
+  float most_low, most_high;         /* cosines of the lights they are seen under */
+  uint32_t most_views, most_in_view; /* how many views have them, and the last one that does */
+  /* Some of these are of texels that have other values as well, in some views only or under lights of several
+   * elevations: a matte surface that the cosine is in has its largest values under the highest lights, in all
+   * views. */
+  bool cut_off;
   uint32_t missing; /* pictures that are black all over */
   audit_place first_missing;
   uint64_t dead; /* texels that have one value for all directions */

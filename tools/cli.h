@@ -154,6 +154,8 @@ int cli_codec_options(const cli *c, btf_options *options);
 /* A parameter's type as a word; and two lines about it on standard output. */
 const char *cli_param_type(uint32_t type);
 void cli_print_param(const btf_param_desc *p);
+/* The formats that are read or written, with the parameters of that. */
+int cli_list_formats(cli *c, bool written);
 
 /* Fills a job whose progress draws the bar and whose return cancels after Ctrl-C. Other members are the
  * caller's. */

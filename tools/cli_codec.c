@@ -37,8 +37,34 @@ int cli_set_params(const cli *c, const char *name, const char *lister, btf_optio
   return EXIT_DONE;
 }
 
+/* The last value that --param gives a key, or NULL. */
+static const char *param_given(const cli *c, const char *key) {
+  const size_t length = strlen(key);
+  const char *value = NULL;
+  for (int i = 0; i < cli_count(c, "param"); i++) {
+    const char *text = cli_value_at(c, "param", i);
+    if (strncmp(text, key, length) == 0 && text[length] == '=') value = text + length + 1;
+  }
+  return value;
+}
+
+/* A target picks the number of components; of 0 it is none. */
+static int refuse_components(const cli *c) {
+  static const char *const targets[] = {"psnr", "rmse"};
+  if (param_given(c, "components") == NULL) return EXIT_DONE;
+  for (int i = 0; i < 2; i++) {
+    const char *target = param_given(c, targets[i]);
+    if (target != NULL && strtod(target, NULL) > 0)
+      return cli_usage(
+          c, "components has no effect beside %s, which picks their number (max_components limits it)",
+          targets[i]);
+  }
+  return EXIT_DONE;
+}
+
 int cli_codec_options(const cli *c, btf_options *options) {
-  return cli_set_params(c, "param", "btf codecs", options);
+  const int failed = cli_set_params(c, "param", "btf codecs", options);
+  return failed ? failed : refuse_components(c);
 }
 
 /* ---- parameters as text ---- */
@@ -92,4 +118,26 @@ void cli_print_param(const btf_param_desc *p) {
   fputs(")\n      ", stdout);
   safe_text_put(stdout, p->summary);
   putchar('\n');
+}
+
+int cli_list_formats(cli *c, bool written) {
+  btf_context *ctx;
+  const int failed = cli_context(c, &ctx);
+  if (failed) return failed;
+  for (uint32_t i = 0; i < btf_format_count(ctx); i++) {
+    const btf_format *format = btf_format_at(ctx, i);
+    const uint32_t count = written ? btf_format_write_param_count(format) : btf_format_param_count(format);
+    /* The folder is written by other means. */
+    if (written && !btf_format_can_write(format) && strcmp(btf_format_id(format), "folder") != 0) continue;
+    printf("%s: ", btf_format_id(format));
+    safe_text_put(stdout, btf_format_title(format));
+    putchar('\n');
+    for (uint32_t k = 0; k < count; k++) {
+      btf_param_desc p = {.struct_size = sizeof p};
+      const btf_status status =
+          written ? btf_format_write_param(format, k, &p) : btf_format_param(format, k, &p);
+      if (status == BTF_OK) cli_print_param(&p);
+    }
+  }
+  return EXIT_DONE;
 }

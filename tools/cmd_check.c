@@ -5,7 +5,9 @@
 
 #include "audit.h"
 #include "commands.h"
+#include "image/image.h"
 #include "json_writer.h"
+#include "output_file.h"
 #include "safe_text.h"
 
 /* Values at the largest one are a sign of saturation when they are more than this part of all. */
@@ -155,14 +157,18 @@ static int run(cli *c) {
   sample_source source;
   audit result = {0};
   finding findings[FINDINGS];
-  int failed = input_open(c, c->operands[0], &in);
+  const char *sheet = cli_value(c, "sheet");
+  if (sheet != NULL && !image_path_is_known(sheet))
+    return cli_usage(c, "--sheet is \"%s\"; a picture ends with .png or .exr", sheet);
+  int failed = sheet != NULL ? output_try(sheet) : EXIT_DONE;
+  if (!failed) failed = input_open(c, c->operands[0], &in);
   if (failed) return failed;
   failed = sample_source_open(&in, &source);
   source.marks_defects = true;
   if (!failed) failed = audit_run(c, &source, &result);
   if (!failed) {
     judge(&source, &result, is_absolute(&in), findings);
-    if (cli_has(c, "sheet")) failed = audit_write_sheet(&source, &result, cli_value(c, "sheet"));
+    if (sheet != NULL) failed = audit_write_sheet(&source, &result, sheet);
     if (cli_has(c, "json"))
       print_json(&source, &result, findings);
     else

@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: MIT */
 /* cmd_convert.c: the same data in another form, without compressing it anew. */
-#include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -8,12 +7,6 @@
 #include "commands.h"
 #include "folder_copy.h"
 #include "output_file.h"
-#include "safe_text.h"
-
-static bool ends_with(const char *path, const char *ending) {
-  const size_t length = strlen(path), end = strlen(ending);
-  return length > end && strcmp(path + length - end, ending) == 0;
-}
 
 /* What IN is: a data set, be it of what a model decodes to. */
 static int open_source(cli *c, input *in) {
@@ -40,16 +33,10 @@ static int choose_codec(const input *in, const char **id) {
 static int choose_target(const cli *c, const input *in, const char *path, const char **to) {
   *to = cli_value(c, "to");
   if (*to != NULL) return EXIT_DONE;
-  if (ends_with(path, ".btfz")) return choose_codec(in, to);
-  if (ends_with(path, ".btfd")) *to = "folder";
+  if (output_ends_with(path, ".btfz")) return choose_codec(in, to);
+  if (output_ends_with(path, ".btfd")) *to = "folder";
   if (*to != NULL) return EXIT_DONE;
   return cli_usage(c, "%s: its name does not tell what to convert to; --to does", path);
-}
-
-static void print_report(const char *path, const char *to, double seconds) {
-  const uint64_t bytes = input_bytes_on_disk(path);
-  safe_text_put(stdout, path);
-  printf(": %s, %" PRIu64 " bytes (%.2f MiB), %.2f s\n", to, bytes, (double)bytes / 1048576, seconds);
 }
 
 /* ---- containers ---- */
@@ -101,27 +88,8 @@ static int to_format(cli *c, const input *in, const btf_format *format, const ch
 static int to_folder(cli *c, input *in, const char *path) {
   uint32_t sample_type;
   if (cli_has(c, "param")) return cli_usage(c, "--param is not for a folder; --type is");
-  const int failed = folder_copy_type(c, &sample_type);
+  const int failed = folder_copy_type(c, in, true, &sample_type);
   return failed ? failed : folder_copy(c, in, path, sample_type);
-}
-
-static int list(cli *c) {
-  btf_context *ctx;
-  const int failed = cli_context(c, &ctx);
-  if (failed) return failed;
-  printf("folder: %s\n", btf_format_title(btf_format_find(ctx, "folder")));
-  for (uint32_t i = 0; i < btf_format_count(ctx); i++) {
-    const btf_format *format = btf_format_at(ctx, i);
-    if (!btf_format_can_write(format)) continue;
-    printf("%s: ", btf_format_id(format));
-    safe_text_put(stdout, btf_format_title(format));
-    putchar('\n');
-    for (uint32_t k = 0; k < btf_format_write_param_count(format); k++) {
-      btf_param_desc p = {.struct_size = sizeof p};
-      if (btf_format_write_param(format, k, &p) == BTF_OK) cli_print_param(&p);
-    }
-  }
-  return EXIT_DONE;
 }
 
 /* ---- the command ---- */
@@ -157,15 +125,19 @@ static int convert(cli *c, input *in, const char *path) {
   cli_hold_interrupts();
   failed = convert_to(c, in, to, path);
   cli_release_interrupts();
-  if (!failed) print_report(path, to, cli_seconds() - started);
+  if (!failed) input_print_written(path, to, cli_seconds() - started);
   return failed;
 }
 
 static int run(cli *c) {
   input in = {0};
-  if (cli_has(c, "list")) return list(c);
-  if (c->operand_count < 2) return cli_usage(c, "%s is missing", c->operand_count == 0 ? "IN" : "OUT");
-  const char *path = c->operands[1];
+  if (cli_has(c, "list")) return cli_list_formats(c, true);
+  if (c->operand_count == 0) return cli_usage(c, "IN is missing");
+  const char *path = cli_value(c, "output");
+  if (path != NULL && c->operand_count == 2)
+    return cli_usage(c, "OUT is given twice: %s and -o %s", c->operands[1], path);
+  if (path == NULL && c->operand_count == 1) return cli_usage(c, "OUT is missing");
+  if (path == NULL) path = c->operands[1];
   c->operand_count = 1; /* where the result lies is not recorded in it */
   int failed = open_source(c, &in);
   if (!failed) failed = convert(c, &in, path);
@@ -174,9 +146,10 @@ static int run(cli *c) {
 }
 
 static const cli_option options_table[] = {
+    CLI_OPTION_OUTPUT("what to write, if OUT is not the second operand"),
     {"to", 0, "NAME", "what to convert to: a codec that keeps factors, a format, or folder", 0},
     {"param", 'p', "KEY=VALUE", "set a parameter of that; may be repeated", 0},
-    CLI_OPTION_SAMPLE_TYPE,
+    CLI_OPTION_SAMPLE_TYPE("otherwise the type of IN, f32 of a container"),
     INPUT_OPTIONS,
     INPUT_OPTIONS_SHORT,
     {"list", 0, NULL, "list the formats that this build writes and their parameters", CLI_OPTION_UNRECORDED},
@@ -185,7 +158,7 @@ static const cli_option options_table[] = {
 const cli_command cmd_convert = {
     "convert",
     "changes the form of data without compressing it anew",
-    "IN OUT [--to NAME] [-p KEY=VALUE]... [options]\n--list",
+    "IN [-o] OUT [--to NAME] [-p KEY=VALUE]... [options]\n--list",
     "IN is a data set, measured data or a container. Factorised measurements become a model that holds the "
     "same\n"
     "factors, with values equal to those of IN: fmf, or pvpca where each view is factorised by itself. "

@@ -97,6 +97,8 @@ static int run(cli *c) {
   const char *path = NULL;
   uint32_t zstd = 0;
   input in;
+  if (cli_has(c, "list") && cli_has(c, "output"))
+    return cli_usage(c, "--list writes nothing and takes no -o");
   int failed = cli_has(c, "list") ? EXIT_DONE : cli_required(c, "output", &path);
   if (!failed) failed = cli_uint32(c, "max-size", 16, 1u << 20, &target.max_2d);
   if (!failed) failed = cli_uint32(c, "max-layers", 1, 1u << 16, &target.max_layers);

@@ -115,19 +115,42 @@ static void chunks_text(const btf_file *file) {
   }
 }
 
+/* The model after the first that a key of metadata is a note of, and how the note is called there; otherwise
+ * 0. */
+static uint32_t model_of_note(const btf_file *file, const char **key) {
+  static const char prefix[] = "btf.note.";
+  const char *digits = *key + strlen(prefix);
+  if (strncmp(*key, prefix, strlen(prefix)) != 0 || *digits < '1' || *digits > '9') return 0;
+  char *end;
+  const unsigned long long model = strtoull(digits, &end, 10);
+  if (model >= btf_file_model_count(file) || end[0] != '.' || end[1] == '\0') return 0;
+  *key = end + 1;
+  return (uint32_t)model;
+}
+
+/* Pair i of the metadata if it is a note of that model, or with model 0 any that is not of a later one. */
+static bool note_of(const btf_file *file, uint32_t i, uint32_t model, const char **key, const char **value) {
+  return btf_file_metadata_at(file, i, key, value) == BTF_OK && model_of_note(file, key) == model;
+}
+
+static void notes_text(const btf_file *file, uint32_t model) {
+  for (uint32_t i = 0; i < btf_file_metadata_count(file); i++) {
+    const char *key, *value;
+    if (note_of(file, i, model, &key, &value)) text_line(key, value);
+  }
+}
+
 static void container_text(const cli *c, const input *in) {
   const uint32_t models = btf_file_model_count(in->file);
   safe_text_put(stdout, in->path);
   printf(": container\n");
   size_line("on disk", in->bytes);
-  for (uint32_t i = 0; i < btf_file_metadata_count(in->file); i++) {
-    const char *key, *value;
-    if (btf_file_metadata_at(in->file, i, &key, &value) == BTF_OK) text_line(key, value);
-  }
+  notes_text(in->file, 0);
   for (uint32_t i = 0; i < models; i++) {
     btf_model_info m = BTF_MODEL_INFO_INIT;
     printf("model %" PRIu32 "\n", i);
     if (btf_file_describe_model(in->file, i, &m) == BTF_OK) model_text(&m);
+    if (i > 0) notes_text(in->file, i);
     if (btf_codec_find(c->context, btf_file_model_codec(in->file, i)) == NULL)
       text_line("note", "this build has no such codec");
   }
@@ -236,15 +259,19 @@ static void write_chunks(json_writer *j, const btf_file *file) {
   json_close(j, ']');
 }
 
+static void write_notes(json_writer *j, const char *name, const btf_file *file, uint32_t model) {
+  json_object(j, name);
+  for (uint32_t i = 0; i < btf_file_metadata_count(file); i++) {
+    const char *key, *value;
+    if (note_of(file, i, model, &key, &value)) json_string(j, key, value);
+  }
+  json_close(j, '}');
+}
+
 static void container_json(const cli *c, const input *in, json_writer *j) {
   json_string(j, "kind", "container");
   json_integer(j, "bytes", in->bytes);
-  json_object(j, "metadata");
-  for (uint32_t i = 0; i < btf_file_metadata_count(in->file); i++) {
-    const char *key, *value;
-    if (btf_file_metadata_at(in->file, i, &key, &value) == BTF_OK) json_string(j, key, value);
-  }
-  json_close(j, '}');
+  write_notes(j, "metadata", in->file, 0);
   json_array(j, "models");
   for (uint32_t i = 0; i < btf_file_model_count(in->file); i++) {
     btf_model_info m = BTF_MODEL_INFO_INIT;
@@ -259,6 +286,7 @@ static void container_json(const cli *c, const input *in, json_writer *j) {
       json_integer(j, "stored_bytes", m.stored_bytes);
       write_description(j, &d);
     }
+    if (i > 0) write_notes(j, "notes", in->file, i);
     json_close(j, '}');
   }
   json_close(j, ']');

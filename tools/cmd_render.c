@@ -8,6 +8,7 @@
 #include "commands.h"
 #include "image/image.h"
 #include "input.h"
+#include "output_file.h"
 #include "render/render.h"
 
 static const cli_option options[] = {
@@ -34,11 +35,6 @@ static const cli_option options[] = {
 
 static float radians(double degrees) {
   return (float)(degrees * (3.14159265358979 / 180.0));
-}
-
-static bool ends_with(const char *text, const char *end) {
-  const size_t n = strlen(text), m = strlen(end);
-  return n >= m && strcmp(text + n - m, end) == 0;
 }
 
 /* What the options say, before anything is loaded. */
@@ -70,7 +66,7 @@ static int check_combination(const cli *c, const char *output) {
   if (cli_has(c, "rotate") && !cli_has(c, "env"))
     return cli_usage(c, "--rotate turns the environment; it goes with --env");
   for (int i = 0; of_pictures[i] != NULL; i++)
-    if (cli_has(c, of_pictures[i]) && ends_with(output, ".exr"))
+    if (cli_has(c, of_pictures[i]) && output_ends_with(output, ".exr"))
       return cli_usage(c, "--%s is for PNG; an .exr file gets linear floats as they are", of_pictures[i]);
   return EXIT_DONE;
 }
@@ -88,8 +84,7 @@ static int read_settings(const cli *c, render_settings *s) {
                          .seed = 1};
   int status = cli_required(c, "output", &s->output);
   if (status != EXIT_DONE) return status;
-  if (!ends_with(s->output, ".png") && !ends_with(s->output, ".exr"))
-    return cli_usage(c, "%s: a picture ends in .png or .exr", s->output);
+  if (!image_path_is_known(s->output)) return cli_usage(c, "%s: a picture ends in .png or .exr", s->output);
   if (cli_value(c, "scene") != NULL) s->scene_name = cli_value(c, "scene");
   if (strcmp(s->scene_name, "plane") == 0) s->camera[1] = 50.0;
   if (strcmp(s->scene_name, "cloth") == 0) {
@@ -132,7 +127,7 @@ static int make_surface(const render_settings *s, const btf_model *model, mesh *
 }
 
 static int write_picture(const render_settings *s, image *picture) {
-  if (!ends_with(s->output, ".exr")) tone_map(picture, s->exposure, s->tone);
+  if (!output_ends_with(s->output, ".exr")) tone_map(picture, s->exposure, s->tone);
   return image_write(picture, s->output);
 }
 

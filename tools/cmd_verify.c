@@ -16,7 +16,7 @@ typedef struct finite_check {
   uint32_t x, y, light, view; /* of the first value a thread found; written by whoever sets `failed` */
 } finite_check;
 
-static void check_block(void *user, const sample_visit *visit) {
+static btf_status check_block(void *user, const sample_visit *visit) {
   finite_check *f = user;
   const uint64_t values = visit->image_values * visit->lights;
   for (uint64_t i = 0; i < values; i++) {
@@ -29,8 +29,9 @@ static void check_block(void *user, const sample_visit *visit) {
       f->light = visit->light0 + (uint32_t)(i / visit->image_values);
       f->view = visit->view;
     }
-    return;
+    return BTF_OK;
   }
+  return BTF_OK;
 }
 
 static int decode_level(cli *c, const sample_source *source, uint64_t *samples) {

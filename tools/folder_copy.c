@@ -1,23 +1,26 @@
 /* SPDX-License-Identifier: MIT */
 #include "folder_copy.h"
 
+#include <inttypes.h>
 #include <stdatomic.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "sample_walk.h"
-
-enum { MESSAGE_BYTES = 512 };
 
 typedef struct copying {
   btf_dataset_writer *writer;
   const sample_source *source;
-  atomic_flag failed;
-  btf_status status; /* of the thread that took the flag */
-  char message[MESSAGE_BYTES];
+  bool clips; /* the samples written are of 0..1 */
+  atomic_uint_least64_t clipped;
 } copying;
 
-static void put_block(void *user, const sample_visit *visit) {
+static uint64_t count_outside(const float *values, uint64_t count) {
+  uint64_t outside = 0;
+  for (uint64_t i = 0; i < count; i++) outside += values[i] < 0 || values[i] > 1;
+  return outside;
+}
+
+static btf_status put_block(void *user, const sample_visit *visit) {
   copying *copy = user;
   const sample_source *s = copy->source;
   const btf_block block = {.view0 = visit->view,
@@ -28,10 +31,9 @@ static void put_block(void *user, const sample_visit *visit) {
                            .height = s->height};
   const ptrdiff_t x = (ptrdiff_t)(s->channels * sizeof(float)), y = x * (ptrdiff_t)s->width;
   const btf_strides strides = {.light = y * (ptrdiff_t)s->height, .y = y, .x = x, .channel = sizeof(float)};
-  const btf_status status = btf_dataset_writer_put(copy->writer, &block, visit->a, &strides);
-  if (status == BTF_OK || atomic_flag_test_and_set(&copy->failed)) return;
-  copy->status = status;
-  snprintf(copy->message, sizeof copy->message, "%s", btf_error_message());
+  if (copy->clips)
+    atomic_fetch_add(&copy->clipped, count_outside(visit->a, visit->image_values * visit->lights));
+  return btf_dataset_writer_put(copy->writer, &block, visit->a, &strides);
 }
 
 /* A key that the manifest has for something else, which metadata of a container may bear, is left out. */
@@ -55,16 +57,26 @@ static btf_status start(cli *c, const input *in, const char *path, uint32_t samp
   return status;
 }
 
+static void warn_of_clipped(cli *c, copying *copy, const char *path, uint32_t sample_type) {
+  const sample_source *s = copy->source;
+  const uint64_t clipped = atomic_load(&copy->clipped);
+  const uint64_t values = sample_source_image_values(s) * s->lights * s->views;
+  if (clipped == 0) return;
+  cli_warn(c,
+           "%s: %" PRIu64 " of %" PRIu64
+           " values (%.3g %%) are below 0 or above 1, which %s does not hold, and were clipped",
+           path, clipped, values, 100 * (double)clipped / (double)values, input_sample_type(sample_type));
+}
+
 int folder_copy(cli *c, input *in, const char *path, uint32_t sample_type) {
   sample_source source;
-  copying copy = {.source = &source, .failed = ATOMIC_FLAG_INIT};
+  copying copy = {.source = &source, .clips = sample_type == BTF_SAMPLE_U8 || sample_type == BTF_SAMPLE_U16};
   const sample_walk walk = {.a = &source, .visit = put_block, .user = &copy, .stage = "copying", .to = 1};
   int failed = sample_source_open(in, &source);
   if (failed) return failed;
   btf_status status = start(c, in, path, sample_type, &copy.writer);
   if (status == BTF_OK) {
     failed = sample_walk_run(c, &walk);
-    if (!failed && copy.status != BTF_OK) failed = cli_fail(cli_exit_of(copy.status), "%s", copy.message);
     if (!failed) {
       status = btf_dataset_writer_finish(copy.writer);
       copy.writer = NULL;
@@ -73,14 +85,20 @@ int folder_copy(cli *c, input *in, const char *path, uint32_t sample_type) {
   cli_progress_done(c);
   if (status != BTF_OK) failed = cli_fail_library(status);
   btf_dataset_writer_abort(copy.writer);
+  if (!failed) warn_of_clipped(c, &copy, path, sample_type);
   return failed;
 }
 
-int folder_copy_type(const cli *c, uint32_t *sample_type) {
+int folder_copy_type(const cli *c, const input *in, bool keeps_floats, uint32_t *sample_type) {
   static const char *const words[] = {"u8", "u16", "f16", "f32", NULL};
   static const uint32_t types[] = {BTF_SAMPLE_U8, BTF_SAMPLE_U16, BTF_SAMPLE_F16, BTF_SAMPLE_F32};
-  int type = 2;
+  btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+  int type = -1;
   const int failed = cli_choice(c, "type", words, &type);
-  *sample_type = types[type];
-  return failed;
+  if (failed) return failed;
+  const btf_status status = btf_dataset_describe(in->dataset, &desc);
+  if (status != BTF_OK) return cli_fail_library(status);
+  *sample_type = desc.sample_type == BTF_SAMPLE_F32 && !keeps_floats ? BTF_SAMPLE_F16 : desc.sample_type;
+  if (type >= 0) *sample_type = types[type];
+  return EXIT_DONE;
 }

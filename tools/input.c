@@ -3,9 +3,12 @@
 
 #include <dirent.h>
 #include <errno.h>
+#include <inttypes.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
+
+#include "safe_text.h"
 
 uint64_t input_bytes_on_disk(const char *path) {
   struct stat info;
@@ -244,4 +247,10 @@ uint64_t input_value_count(uint32_t views, uint32_t lights, uint32_t width, uint
   for (int i = 0; i < 5; i++)
     if (__builtin_mul_overflow(product, (uint64_t)factors[i], &product)) return 0;
   return product;
+}
+
+void input_print_written(const char *path, const char *what, double seconds) {
+  const uint64_t bytes = input_bytes_on_disk(path);
+  safe_text_put(stdout, path);
+  printf(": %s, %" PRIu64 " bytes (%.2f MiB), %.2f s\n", what, bytes, (double)bytes / 1048576, seconds);
 }

@@ -51,5 +51,7 @@ uint64_t input_value_count(uint32_t views, uint32_t lights, uint32_t width, uint
                            uint32_t channels);
 /* Size of a file, or of a data-set folder with its manifest and samples; 0 if unknown. */
 uint64_t input_bytes_on_disk(const char *path);
+/* The line about what a command wrote. */
+void input_print_written(const char *path, const char *what, double seconds);
 
 #endif

@@ -120,7 +120,7 @@ static void grey_image(const comparison *m, const float *values, float *grey) {
   }
 }
 
-static void compare_block(void *user, const sample_visit *visit) {
+static btf_status compare_block(void *user, const sample_visit *visit) {
   comparison *m = user;
   const sample_source *r = m->reference;
   sums *s = &m->threads[visit->thread];
@@ -139,6 +139,7 @@ static void compare_block(void *user, const sample_visit *visit) {
     s->ssim += ssim_mean(s->grey_a, s->grey_b, r->width, r->height, s->scratch);
     s->ssim_images++;
   }
+  return BTF_OK;
 }
 
 /* Marks `count` pairs: multiples of a step near the golden section of their number, which visit each pair

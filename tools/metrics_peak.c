@@ -35,7 +35,7 @@ typedef struct counting {
   bool lower;
 } counting;
 
-static void count_values(void *user, const sample_visit *visit) {
+static btf_status count_values(void *user, const sample_visit *visit) {
   const counting *k = user;
   uint64_t *counts = k->counts + k->bins * visit->thread;
   const uint64_t values = visit->image_values * visit->lights;
@@ -47,6 +47,7 @@ static void count_values(void *user, const sample_visit *visit) {
       if (key >> lower_bits == k->upper) counts[key & (lower_bins - 1)]++;
     }
   }
+  return BTF_OK;
 }
 
 /* Counts in all threads and leaves the sum in the first bins. */

@@ -94,3 +94,8 @@ int output_try(const char *path) {
   if (!failed) output_abort(&probe);
   return failed;
 }
+
+bool output_ends_with(const char *path, const char *ending) {
+  const size_t length = strlen(path), end = strlen(ending);
+  return length > end && strcasecmp(path + length - end, ending) == 0;
+}

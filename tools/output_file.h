@@ -3,6 +3,7 @@
 #ifndef BTF_TOOLS_OUTPUT_FILE_H
 #define BTF_TOOLS_OUTPUT_FILE_H
 
+#include <stdbool.h>
 #include <stdio.h>
 
 typedef struct output_file {
@@ -18,6 +19,8 @@ int output_try(const char *path);
 int output_commit(output_file *out);
 /* Removes the temporary file; fine on a zeroed struct and after commit. */
 void output_abort(output_file *out);
+/* Whether a path has more than the ending, and the ending in small letters or capitals. */
+bool output_ends_with(const char *path, const char *ending);
 /* All of the above for bytes in memory. */
 int output_write(const char *path, const void *data, size_t size);
 

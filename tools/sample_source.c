@@ -20,6 +20,7 @@ int sample_source_open(input *in, sample_source *out) {
     out->quantity = d.quantity;
     out->wrap = d.wrap;
     out->sample_type = d.sample_type;
+    out->texel_major = (d.flags & BTF_DATASET_IMAGE_MAJOR) == 0;
   } else {
     btf_model_info m = BTF_MODEL_INFO_INIT;
     const int failed = input_load(in);
@@ -48,7 +49,9 @@ void sample_source_set_level(sample_source *s, uint32_t level) {
 }
 
 uint32_t sample_source_block_lights(const sample_source *s) {
-  const uint64_t block_values = UINT64_C(4) << 20;
+  /* A block of images that lie as such stays in the caches; where texels lie one by one, few lights of each
+   * would be read from lines that hold many. */
+  const uint64_t block_values = UINT64_C(1) << (s->texel_major ? 22 : 18);
   const uint64_t lights = block_values / sample_source_image_values(s);
   return lights < 1 ? 1 : lights > s->lights ? s->lights : (uint32_t)lights;
 }

@@ -13,6 +13,7 @@ typedef struct sample_source {
   uint32_t views, lights, width, height, channels, quantity, wrap;
   uint32_t sample_type; /* of a data set; 0 for a container */
   uint32_t levels, level;
+  bool texel_major; /* of a data set: all lights and views of a texel lie together */
   /* NaN in the first channel of a sample that the model decodes to something not finite, where the library
    * gives 0. Off unless set after opening. */
   bool marks_defects;

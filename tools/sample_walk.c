@@ -49,7 +49,8 @@ static bool visit_block(void *user, uint64_t index, uint32_t thread) {
   }
   visit.a = w->a;
   visit.b = w->b;
-  walk->visit(walk->user, &visit);
+  status = walk->visit(walk->user, &visit);
+  if (status != BTF_OK) return note_failure(w, status);
   /* The bar belongs to the thread of the command. */
   if (thread == 0 &&
       cli_progress(s->c, walk->from + (walk->to - walk->from) * (double)index / (double)s->blocks,

@@ -11,7 +11,8 @@ typedef struct sample_visit {
   uint64_t image_values;
   const float *a, *b; /* b is NULL in a walk over one source */
 } sample_visit;
-typedef void (*sample_visit_fn)(void *user, const sample_visit *visit);
+/* BTF_OK, or a status of the library, with its message, at which the walk ends. */
+typedef btf_status (*sample_visit_fn)(void *user, const sample_visit *visit);
 
 typedef struct sample_walk {
   const sample_source *a, *b; /* b may be NULL */

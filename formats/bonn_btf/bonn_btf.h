@@ -31,6 +31,13 @@ typedef struct bonn_fields {
   uint32_t *rank; /* of a texel among those of its chunk that are there; NULL = all are */
 } bonn_fields;
 
+/* The list of lights of one view. */
+typedef struct bonn_lights {
+  const unsigned char *angles; /* two floats for each */
+  uint32_t count;
+  uint64_t before; /* pairs of the views before */
+} bonn_lights;
+
 typedef struct bonn_file {
   source_file file;
   bonn_family family;
@@ -40,8 +47,11 @@ typedef struct bonn_file {
   uint32_t cosine;
   uint32_t channels;
   char **channel_names; /* NULL = R, G, B */
-  uint32_t view_count, light_count;
-  float *views, *lights; /* unit vectors */
+  uint32_t view_count;
+  float *views;        /* unit vectors */
+  bonn_lights *lights; /* of each view */
+  bool lights_differ;  /* between views */
+  uint64_t pairs;      /* of a view and one of its lights */
   uint32_t width, height;
   uint32_t rotations;
   uint32_t colour_model;
@@ -50,12 +60,16 @@ typedef struct bonn_file {
   bonn_factor *factors; /* DFMF: one a channel; FMF: one; PVF: one a view */
   uint32_t factor_count;
   bonn_fields fields;
+  bool gives_halves;    /* samples are read as they are stored (BDI) */
   uint32_t *components; /* of the products that the factors are for others (products.c) */
 } bonn_file;
 
 /* header.c: everything but the samples, checked. On failure bonn_file_close is still due. */
 btf_status bonn_file_parse(bonn_file *bonn);
 void bonn_file_close(bonn_file *bonn);
+/* The unit vector of two angles. */
+void bonn_direction(const unsigned char *angles, float xyz[3]);
+bool bonn_same_lights(const bonn_lights *a, const bonn_lights *b);
 bool bonn_is_signature(const unsigned char *head, uint64_t size);
 
 /* factors.c, fields.c: what follows the directions and sizes, up to the end of the file. */
@@ -80,6 +94,18 @@ static inline float bonn_scalar(const unsigned char *p, uint32_t size) {
 /* products.c: the factorisations as others see them (btf_factors). prepare comes before the data set. */
 btf_status bonn_products_prepare(bonn_file *bonn);
 btf_status bonn_products(void *user, btf_factors *out);
+
+/* lights.c: the lights that the data set shows and, where those of a view are others, the sets of all views.
+ */
+typedef struct bonn_common {
+  btf_dirset *lights;
+  btf_dirset **of_views; /* NULL: all views have `lights` */
+  uint32_t views;
+  char note[160]; /* what was resampled; empty: nothing */
+} bonn_common;
+extern const btf_param_desc bonn_param_lights;
+btf_status bonn_common_lights(const bonn_file *bonn, const btf_options *options, bonn_common *out);
+void bonn_common_release(const btf_host *host, btf_context *ctx, bonn_common *common);
 
 /* write.c */
 extern const btf_param_desc *const bonn_write_params[];

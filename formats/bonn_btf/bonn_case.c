@@ -1,342 +1,289 @@
 /* SPDX-License-Identifier: MIT */
 #include "bonn_case.h"
 
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
-/* label, signature, family, version, scalar, views, lights, w, h, channels, k, transposed, legacy, cosine,
- * colour, range, rotations, their bytes, chunk rows, holes, xml */
 const bonn_case bonn_cases[] = {
-    {"FMF half", "!FMF06FCR", BONN_CASE_FMF, 1, 2, 4, 5, 3, 2, 3, 4, false, false, 0, 0, 0, 0,
-     0,          0,           false,         0},
-    {"FMF float, cosine",
-     "!FMF06FC",
-     BONN_CASE_FMF,
-     2,
-     4,
-     4,
-     5,
-     3,
-     2,
-     3,
-     3,
-     false,
-     false,
-     1,
-     0,
-     0,
-     0,
-     0,
-     0,
-     false,
-     0},
-    {"FMF double, xml",
-     "!FMF06FCR",
-     BONN_CASE_FMF,
-     3,
-     8,
-     5,
-     3,
-     2,
-     4,
-     3,
-     2,
-     false,
-     false,
-     0,
-     0,
-     0,
-     0,
-     0,
-     0,
-     false,
-     9},
-    {"FMF, a size that looks like an R",
-     "!FMF06FC",
-     BONN_CASE_FMF,
-     3,
-     4,
-     3,
-     4,
-     2,
-     3,
-     3,
-     2,
-     false,
-     false,
-     0,
-     0,
-     0,
-     0,
-     0,
-     0,
-     false,
-     66},
-    {"FMF12 logarithms",
-     "!FMF12FCER",
-     BONN_CASE_FMF,
-     4,
-     2,
-     3,
-     4,
-     4,
-     3,
-     3,
-     3,
-     false,
-     false,
-     0,
-     0,
-     1,
-     0,
-     0,
-     0,
-     false,
-     4},
-    {"FMF12 spectral, by texel",
-     "!FMF12FCE",
-     BONN_CASE_FMF,
-     4,
-     4,
-     3,
-     4,
-     3,
-     5,
-     5,
-     3,
-     true,
-     false,
-     1,
-     0,
-     0,
-     0,
-     0,
-     0,
-     false,
-     0},
-    {"FMF by texel",
-     "!FMF06FCR",
-     BONN_CASE_FMF,
-     1,
-     2,
-     4,
-     4,
-     3,
-     2,
-     3,
-     2,
-     true,
-     false,
-     0,
-     0,
-     0,
-     0,
-     0,
-     0,
-     false,
-     0},
-    {"DFMF RGB", "!DFMF08FCR", BONN_CASE_DFMF, 1, 2, 4, 5, 3, 2, 3, 4, false, false, 0, 0, 0, 0, 0, 0, false,
-     0},
-    {"DFMF YUV", "!DFMF08FC", BONN_CASE_DFMF, 2, 4, 5, 4, 2, 3, 3, 3, false, false, 1, 1, 0, 0,
-     0,          0,           false,          0},
-    {"DFMF PCA", "!DFMF08FCR", BONN_CASE_DFMF, 4, 4, 4, 5, 3, 2, 3, 3, false, false, 0, 3, 0, 0, 0, 0, false,
-     0},
-    {"DFMF YCoCg",
-     "!DFMF08FCR",
-     BONN_CASE_DFMF,
-     4,
-     8,
-     4,
-     5,
-     3,
-     2,
-     3,
-     3,
-     false,
-     false,
-     0,
-     4,
-     0,
-     0,
-     0,
-     0,
-     false,
-     0},
-    {"DFMF spectral",
-     "!DFMF08FCR",
-     BONN_CASE_DFMF,
-     4,
-     2,
-     3,
-     3,
-     3,
-     2,
-     4,
-     2,
-     false,
-     false,
-     0,
-     5,
-     0,
-     0,
-     0,
-     0,
-     false,
-     0},
-    {"DFMF spectral, linear",
-     "!DFMF08FCR",
-     BONN_CASE_DFMF,
-     4,
-     2,
-     3,
-     3,
-     3,
-     2,
-     4,
-     2,
-     false,
-     false,
-     0,
-     6,
-     0,
-     0,
-     0,
-     0,
-     false,
-     0},
-    {"DFMF log Y",
-     "!DFMF08FCR",
-     BONN_CASE_DFMF,
-     4,
-     4,
-     4,
-     5,
-     3,
-     2,
-     3,
-     3,
-     true,
-     false,
-     0,
-     9,
-     0,
-     0,
-     0,
-     0,
-     false,
-     0},
-    {"DFMF logs",
-     "!DFMF08FCR",
-     BONN_CASE_DFMF,
-     4,
-     4,
-     4,
-     5,
-     3,
-     2,
-     3,
-     3,
-     false,
-     false,
-     0,
-     10,
-     0,
-     0,
-     0,
-     0,
-     false,
-     0},
-    {"DFMF log Y, ratios",
-     "!DFMF08FCR",
-     BONN_CASE_DFMF,
-     4,
-     2,
-     4,
-     5,
-     3,
-     2,
-     3,
-     3,
-     false,
-     false,
-     1,
-     11,
-     0,
-     0,
-     0,
-     0,
-     false,
-     0},
-    {"DFMF log RGB, rotations",
-     "!DFMF08FCR",
-     BONN_CASE_DFMF,
-     4,
-     2,
-     4,
-     5,
-     3,
-     2,
-     3,
-     3,
-     false,
-     false,
-     0,
-     12,
-     0,
-     3,
-     36,
-     0,
-     false,
-     0},
-    {"DFMF, short rotations",
-     "!DFMF08FCR",
-     BONN_CASE_DFMF,
-     4,
-     2,
-     4,
-     5,
-     3,
-     2,
-     3,
-     3,
-     false,
-     false,
-     0,
-     0,
-     0,
-     5,
-     12,
-     0,
-     false,
-     0},
-    {"PVF", "!PVF06FCR", BONN_CASE_PVF, 1, 2, 4, 5, 3, 2, 3, 3, false, false, 0, 0, 0, 0, 0, 0, false, 0},
-    {"PVF by texel", "!PVF06FC", BONN_CASE_PVF, 4, 4, 4, 5, 3, 2, 3, 3, true, false, 0, 0, 0, 0, 0, 0,
-     false,          0},
-    {"PVF, older", "!PVF06FC", BONN_CASE_PVF, 0, 4, 4, 5, 3, 2, 3, 3, false, true, 0, 0, 0, 0, 0, 0,
-     false,        0},
-    {"BDI", "!BDIF06R2!", BONN_CASE_BDI, 1, 2, 4, 5, 3, 5, 3, 1, false, false, 0, 0, 0, 0, 0, 2, false, 0},
-    {"BDI with holes",
-     "!BDIF06R2!",
-     BONN_CASE_BDI,
-     4,
-     2,
-     4,
-     5,
-     3,
-     5,
-     3,
-     1,
-     false,
-     false,
-     1,
-     0,
-     0,
-     0,
-     0,
-     2,
-     true,
-     0},
+    {.label = "FMF half",
+     .signature = "!FMF06FCR",
+     .family = BONN_CASE_FMF,
+     .version = 1,
+     .scalar_size = 2,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 4},
+    {.label = "FMF float, cosine",
+     .signature = "!FMF06FC",
+     .family = BONN_CASE_FMF,
+     .version = 2,
+     .scalar_size = 4,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .cosine = 1},
+    {.label = "FMF double, xml",
+     .signature = "!FMF06FCR",
+     .family = BONN_CASE_FMF,
+     .version = 3,
+     .scalar_size = 8,
+     .views = 5,
+     .lights = 3,
+     .width = 2,
+     .height = 4,
+     .channels = 3,
+     .components = 2,
+     .setup_bytes = 9},
+    {.label = "FMF, a size that looks like an R",
+     .signature = "!FMF06FC",
+     .family = BONN_CASE_FMF,
+     .version = 3,
+     .scalar_size = 4,
+     .views = 3,
+     .lights = 4,
+     .width = 2,
+     .height = 3,
+     .channels = 3,
+     .components = 2,
+     .setup_bytes = 66},
+    {.label = "FMF12 logarithms",
+     .signature = "!FMF12FCER",
+     .family = BONN_CASE_FMF,
+     .version = 4,
+     .scalar_size = 2,
+     .views = 3,
+     .lights = 4,
+     .width = 4,
+     .height = 3,
+     .channels = 3,
+     .components = 3,
+     .dynamic_range = 1,
+     .setup_bytes = 4},
+    {.label = "FMF12 spectral, by texel",
+     .signature = "!FMF12FCE",
+     .family = BONN_CASE_FMF,
+     .version = 4,
+     .scalar_size = 4,
+     .views = 3,
+     .lights = 4,
+     .width = 3,
+     .height = 5,
+     .channels = 5,
+     .components = 3,
+     .transposed = true,
+     .cosine = 1},
+    {.label = "FMF by texel",
+     .signature = "!FMF06FCR",
+     .family = BONN_CASE_FMF,
+     .version = 1,
+     .scalar_size = 2,
+     .views = 4,
+     .lights = 4,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 2,
+     .transposed = true},
+    {.label = "DFMF RGB",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 1,
+     .scalar_size = 2,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 4},
+    {.label = "DFMF YUV",
+     .signature = "!DFMF08FC",
+     .family = BONN_CASE_DFMF,
+     .version = 2,
+     .scalar_size = 4,
+     .views = 5,
+     .lights = 4,
+     .width = 2,
+     .height = 3,
+     .channels = 3,
+     .components = 3,
+     .cosine = 1,
+     .colour_model = 1},
+    {.label = "DFMF PCA",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 4,
+     .scalar_size = 4,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .colour_model = 3},
+    {.label = "DFMF YCoCg",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 4,
+     .scalar_size = 8,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .colour_model = 4},
+    {.label = "DFMF spectral",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 4,
+     .scalar_size = 2,
+     .views = 3,
+     .lights = 3,
+     .width = 3,
+     .height = 2,
+     .channels = 4,
+     .components = 2,
+     .colour_model = 5},
+    {.label = "DFMF spectral, linear",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 4,
+     .scalar_size = 2,
+     .views = 3,
+     .lights = 3,
+     .width = 3,
+     .height = 2,
+     .channels = 4,
+     .components = 2,
+     .colour_model = 6},
+    {.label = "DFMF log Y",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 4,
+     .scalar_size = 4,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .transposed = true,
+     .colour_model = 9},
+    {.label = "DFMF logs",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 4,
+     .scalar_size = 4,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .colour_model = 10},
+    {.label = "DFMF log Y, ratios",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 4,
+     .scalar_size = 2,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .cosine = 1,
+     .colour_model = 11},
+    {.label = "DFMF log RGB, rotations",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 4,
+     .scalar_size = 2,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .colour_model = 12,
+     .rotations = 3,
+     .rotation_bytes = 36},
+    {.label = "DFMF, short rotations",
+     .signature = "!DFMF08FCR",
+     .family = BONN_CASE_DFMF,
+     .version = 4,
+     .scalar_size = 2,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .rotations = 5,
+     .rotation_bytes = 12},
+    {.label = "PVF",
+     .signature = "!PVF06FCR",
+     .family = BONN_CASE_PVF,
+     .version = 1,
+     .scalar_size = 2,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3},
+    {.label = "PVF by texel",
+     .signature = "!PVF06FC",
+     .family = BONN_CASE_PVF,
+     .version = 4,
+     .scalar_size = 4,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .transposed = true},
+    {.label = "PVF, older",
+     .signature = "!PVF06FC",
+     .family = BONN_CASE_PVF,
+     .scalar_size = 4,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 2,
+     .channels = 3,
+     .components = 3,
+     .legacy = true},
+    {.label = "BDI",
+     .signature = "!BDIF06R2!",
+     .family = BONN_CASE_BDI,
+     .version = 1,
+     .scalar_size = 2,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 5,
+     .channels = 3,
+     .components = 1,
+     .chunk_rows = 2},
+    {.label = "BDI with holes",
+     .signature = "!BDIF06R2!",
+     .family = BONN_CASE_BDI,
+     .version = 4,
+     .scalar_size = 2,
+     .views = 4,
+     .lights = 5,
+     .width = 3,
+     .height = 5,
+     .channels = 3,
+     .components = 1,
+     .cosine = 1,
+     .chunk_rows = 2,
+     .holes = true},
 };
 const size_t bonn_case_count = sizeof bonn_cases / sizeof *bonn_cases;
 
@@ -352,11 +299,62 @@ static double value(uint32_t kind, uint32_t factor, uint64_t row, uint32_t colum
   return (double)((int)(h % 129) - 64) / 64;
 }
 
+/* The number in the file. */
+static double entry(const bonn_case *c, uint32_t kind, uint32_t factor, uint64_t row, uint32_t column) {
+  const double even = value(kind, factor, row, column), uneven = even * 0.7317;
+  const int bits = c->scalar_size == 2 ? 11 : 24;
+  int exponent;
+  if (!c->uneven) return even;
+  frexp(uneven, &exponent);
+  return ldexp(rint(ldexp(uneven, bits - exponent)), exponent - bits);
+}
+
 void bonn_case_angles(uint32_t i, uint32_t n, bool light, float *theta, float *phi) {
   *theta = light ? 0.15f + 1.1f * (float)i / (float)n : 0.1f + 1.2f * (float)i / (float)n;
   *phi = (light ? 2.4f : -1.9f) * (float)(i + 1);
   while (*phi > 3.14159f) *phi -= 6.2831853f;
   while (*phi < -3.14159f) *phi += 6.2831853f;
+}
+
+uint32_t bonn_case_lights(const bonn_case *c, uint32_t view) {
+  static const uint32_t counts[] = {3, 4, 1, 4, 4};
+  return c->own_lights ? counts[view % 5] : c->lights;
+}
+
+void bonn_case_light(const bonn_case *c, uint32_t view, uint32_t light, float *theta, float *phi) {
+  const bool small = view % 5 == 1 || view % 5 == 4;
+  if (!c->own_lights) {
+    bonn_case_angles(light, c->lights, true, theta, phi);
+    return;
+  }
+  *theta = light == 3 ? 0.05f : small ? 0.3f : 1.2f;
+  *phi = (small ? 0.2f : fmodf(0.3f * (float)view, 6.2831853f)) + 2.0943951f * (float)light;
+}
+
+/* Number of a pair of view and light, views one after another. */
+static uint32_t pair_of(const bonn_case *c, uint32_t view, uint32_t light) {
+  uint32_t pair = light;
+  for (uint32_t v = 0; v < view; v++) pair += bonn_case_lights(c, v);
+  return pair;
+}
+
+bonn_case bonn_case_named(const char *label) {
+  for (size_t i = 0; i < bonn_case_count; i++)
+    if (strcmp(bonn_cases[i].label, label) == 0) return bonn_cases[i];
+  fail_msg("no case %s", label);
+  return bonn_cases[0];
+}
+
+void bonn_case_check_directions(const btf_dirset *set, uint32_t count, bool light) {
+  assert_int_equal(btf_dirset_count(set), count);
+  for (uint32_t i = 0; i < count; i++) {
+    const float *d = btf_dirset_directions(set) + 3 * i;
+    float theta, phi;
+    bonn_case_angles(i, count, light, &theta, &phi);
+    assert_near(d[0], sin(theta) * cos(phi), 1e-6);
+    assert_near(d[1], sin(theta) * sin(phi), 1e-6);
+    assert_near(d[2], cos(theta), 1e-6);
+  }
 }
 
 /* ---- writing ---- */
@@ -445,9 +443,9 @@ static void put_directions(bonn_bytes *b, const bonn_case *c) {
     bonn_case_angles(v, c->views, false, &theta, &phi);
     put_f32(b, theta);
     put_f32(b, phi);
-    put_count(b, c->lights);
-    for (uint32_t l = 0; l < c->lights; l++) {
-      bonn_case_angles(l, c->lights, true, &theta, &phi);
+    put_count(b, bonn_case_lights(c, v));
+    for (uint32_t l = 0; l < bonn_case_lights(c, v); l++) {
+      bonn_case_light(c, v, l, &theta, &phi);
       put_f32(b, theta);
       put_f32(b, phi);
     }
@@ -462,11 +460,11 @@ static void put_size(bonn_bytes *b, const bonn_case *c) {
 static void put_rows(bonn_bytes *b, const bonn_case *c, uint32_t kind, uint32_t factor, uint64_t rows,
                      uint32_t columns) {
   for (uint64_t i = 0; i < rows; i++)
-    for (uint32_t k = 0; k < columns; k++) put_scalar(b, c->scalar_size, value(kind, factor, i, k));
+    for (uint32_t k = 0; k < columns; k++) put_scalar(b, c->scalar_size, entry(c, kind, factor, i, k));
 }
 
 static void put_matrix(bonn_bytes *b, const bonn_case *c, uint32_t factor, uint32_t channels) {
-  const uint32_t angles = c->views * c->lights, texels = c->width * c->height;
+  const uint32_t angles = pair_of(c, c->views, 0), texels = c->width * c->height;
   const uint32_t rows = channels * (c->transposed ? texels : angles),
                  columns = c->transposed ? angles : texels;
   const unsigned char scalar_size = (unsigned char)c->scalar_size;
@@ -481,8 +479,9 @@ static void put_matrix(bonn_bytes *b, const bonn_case *c, uint32_t factor, uint3
 
 static void put_view(bonn_bytes *b, const bonn_case *c, uint32_t view) {
   const uint32_t texels = c->width * c->height;
-  const uint32_t length = c->channels * (c->transposed ? texels : c->lights);
-  const uint32_t weights = c->transposed ? c->lights : texels;
+  const uint32_t lights = bonn_case_lights(c, view);
+  const uint32_t length = c->channels * (c->transposed ? texels : lights);
+  const uint32_t weights = c->transposed ? lights : texels;
   const unsigned char scalar_size = (unsigned char)c->scalar_size;
   put(b, &scalar_size, 1);
   put_count(b, c->components);
@@ -503,7 +502,7 @@ static bool is_hole(const bonn_case *c, uint32_t texel) {
 }
 
 static void put_fields(bonn_bytes *b, const bonn_case *c) {
-  const uint32_t field = c->channels * c->lights * c->views;
+  const uint32_t field = c->channels * pair_of(c, c->views, 0);
   const unsigned char sparse = c->holes ? 2 : 0;
   put_count(b, c->chunk_rows);
   put(b, &sparse, 1);
@@ -518,7 +517,7 @@ static void put_fields(bonn_bytes *b, const bonn_case *c) {
     for (uint32_t i = row * c->width; i < end * c->width; i++) present += !is_hole(c, i);
     put_count(b, 2 * field * present);
     for (uint32_t i = row * c->width; i < end * c->width; i++)
-      for (uint32_t k = 0; k < field && !is_hole(c, i); k++) put_half(b, value(FACTOR_FIELD, 0, i, k));
+      for (uint32_t k = 0; k < field && !is_hole(c, i); k++) put_half(b, entry(c, FACTOR_FIELD, 0, i, k));
   }
 }
 
@@ -572,12 +571,12 @@ bonn_bytes bonn_case_write(const bonn_case *c) {
 static double dot(const bonn_case *c, uint32_t factor, uint64_t left, uint64_t right) {
   double sum = 0;
   for (uint32_t k = 0; k < c->components; k++)
-    sum += value(FACTOR_LEFT, factor, left, k) * value(FACTOR_RIGHT, factor, right, k);
+    sum += entry(c, FACTOR_LEFT, factor, left, k) * entry(c, FACTOR_RIGHT, factor, right, k);
   return sum;
 }
 
 static double stored(const bonn_case *c, uint32_t v, uint32_t l, uint32_t texel, uint32_t channel) {
-  const uint32_t lv = v * c->lights + l, n = c->channels;
+  const uint32_t lv = pair_of(c, v, l), n = c->channels;
   switch (c->family) {
   case BONN_CASE_DFMF:
     return c->transposed ? dot(c, channel, texel, lv) : dot(c, channel, lv, texel);
@@ -586,11 +585,11 @@ static double stored(const bonn_case *c, uint32_t v, uint32_t l, uint32_t texel,
                          : dot(c, 0, channel + (uint64_t)n * lv, texel);
   case BONN_CASE_PVF:
     return c->transposed ? dot(c, v, channel + (uint64_t)n * texel, l) +
-                               value(FACTOR_MEAN, v, channel + (uint64_t)n * texel, 0)
+                               entry(c, FACTOR_MEAN, v, channel + (uint64_t)n * texel, 0)
                          : dot(c, v, channel + (uint64_t)n * l, texel) +
-                               value(FACTOR_MEAN, v, channel + (uint64_t)n * l, 0);
+                               entry(c, FACTOR_MEAN, v, channel + (uint64_t)n * l, 0);
   default:
-    return is_hole(c, texel) ? 0 : value(FACTOR_FIELD, 0, texel, channel + n * lv);
+    return is_hole(c, texel) ? 0 : entry(c, FACTOR_FIELD, 0, texel, channel + n * lv);
   }
 }
 

@@ -23,7 +23,7 @@ static btf_status check_sizes(const bonn_file *bonn, uint32_t i, uint32_t scalar
  * is the longer side. */
 static btf_status read_matrix(bonn_file *bonn, cursor *c, uint32_t i, uint32_t channels) {
   bonn_factor *factor = &bonn->factors[i];
-  const uint64_t angles = (uint64_t)bonn->view_count * bonn->light_count;
+  const uint64_t angles = bonn->pairs;
   const uint64_t texels = (uint64_t)bonn->width * bonn->height;
   factor->scalar_size = cursor_u8(c);
   factor->k = cursor_u32(c);
@@ -56,15 +56,16 @@ static btf_status read_view(bonn_file *bonn, cursor *c, uint32_t view) {
   factor->k = cursor_u32(c);
   const uint64_t weights = cursor_u32(c), length = cursor_u32(c);
   if (c->ended) return bonn_truncated(bonn, "the head of a factorisation");
-  const uint64_t by_light = (uint64_t)bonn->channels * bonn->light_count, by_texel = bonn->channels * texels;
+  const uint64_t lights = bonn->lights[view].count, by_light = bonn->channels * lights,
+                 by_texel = bonn->channels * texels;
   const bool normal = length == by_light && weights == texels;
   factor->channels_by_texel = !normal;
-  if (!normal && !(length == by_texel && weights == bonn->light_count))
+  if (!normal && !(length == by_texel && weights == lights))
     return (bonn->file.host->fail)(
         bonn->file.ctx, BTF_E_CORRUPT,
         "%s: factorisation %u is of %llu x %llu values; expected %llu x %llu or %llu x %llu", bonn->file.path,
         (unsigned)view, (unsigned long long)length, (unsigned long long)weights, (unsigned long long)by_light,
-        (unsigned long long)texels, (unsigned long long)by_texel, (unsigned long long)bonn->light_count);
+        (unsigned long long)texels, (unsigned long long)by_texel, (unsigned long long)lights);
   BTF_TRY(check_sizes(bonn, view, factor->scalar_size, factor->k, length, weights));
   const uint64_t size = factor->scalar_size;
   cursor_take(c, factor->k, size); /* eigenvalues */

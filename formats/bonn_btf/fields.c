@@ -15,7 +15,7 @@ btf_status bonn_parse_fields(bonn_file *bonn, cursor *c) {
   const btf_host *host = bonn->file.host;
   bonn_fields *fields = &bonn->fields;
   const uint64_t texels = (uint64_t)bonn->width * bonn->height;
-  const uint64_t field_bytes = 2 * (uint64_t)bonn->channels * bonn->light_count * bonn->view_count;
+  const uint64_t field_bytes = 2 * bonn->channels * bonn->pairs;
   fields->chunk_rows = cursor_u32(c);
   const uint8_t compression = cursor_u8(c);
   const unsigned char *mask = cursor_take(c, texels, 1);

@@ -8,7 +8,7 @@ static const char *const cosine_choices[] = {"file", "inside", "outside", NULL};
 BTF_PARAM(cosine, BTF_PARAM_CHOICE,
           "whether samples have the cosine of the light in them: as the file says, or against it", NULL,
           "file", cosine_choices, 0, 0);
-static const btf_param_desc *const params[] = {&cosine, NULL};
+static const btf_param_desc *const params[] = {&cosine, &bonn_param_lights, NULL};
 
 static uint32_t probe(const btf_host *host, btf_context *ctx, const btf_probe *probe) {
   (void)host, (void)ctx;
@@ -48,7 +48,7 @@ static void note_number(note_list *notes, const char *key, double value) {
   note(notes, key, text);
 }
 
-static void fill_notes(const bonn_file *bonn, note_list *notes) {
+static void fill_notes(const bonn_file *bonn, const char *resampled, note_list *notes) {
   static const char *const families[] = {"DFMF", "FMF", "PVF", "BDI"};
   uint32_t most = 0;
   for (uint32_t i = 0; i < bonn->factor_count; i++)
@@ -64,6 +64,7 @@ static void fill_notes(const bonn_file *bonn, note_list *notes) {
   if (bonn->family == BONN_DFMF) note_number(notes, "bonn_colour_model", bonn->colour_model);
   if (bonn->dynamic_range != 0) note_number(notes, "bonn_dynamic_range", bonn->dynamic_range);
   if (bonn->rotations != 0) note_number(notes, "bonn_rotations", bonn->rotations);
+  note(notes, "lights_resampled", resampled);
 }
 
 static btf_status make(const btf_host *host, bonn_file *bonn, const btf_options *options, btf_dataset **out) {
@@ -71,35 +72,41 @@ static btf_status make(const btf_host *host, bonn_file *bonn, const btf_options 
   btf_context *ctx = bonn->file.ctx;
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   note_list notes = {.used = 0};
-  btf_dirset *lights = NULL, *views = NULL;
+  bonn_common common;
+  btf_dirset *views = NULL;
   const int choice = (int)(host->option)(options, "cosine");
   const bool inside = choice == 1 || (choice == 0 && bonn->cosine != 0);
-  const char *slash = strrchr(bonn->file.path, '/');
-  btf_status status = (host->dirset_create)(ctx, bonn->lights, bonn->light_count, &lights);
+  char name[SOURCE_NAME_BYTES];
+  btf_status status = bonn_common_lights(bonn, options, &common);
   if (status == BTF_OK) status = (host->dirset_create)(ctx, bonn->views, bonn->view_count, &views);
   if (status == BTF_OK) status = bonn_products_prepare(bonn);
   if (status == BTF_OK) {
-    fill_notes(bonn, &notes);
-    desc.lights = lights;
+    fill_notes(bonn, common.note, &notes);
+    desc.lights = common.lights;
+    desc.view_lights = (const btf_dirset *const *)common.of_views;
     desc.views = views;
     desc.width = bonn->width;
     desc.height = bonn->height;
     desc.channels = bonn->channels;
+    /* Interpolated samples are none of the file's halves. */
+    bonn->gives_halves = bonn->family == BONN_BDI && common.of_views == NULL;
+    desc.sample_type = bonn->gives_halves ? BTF_SAMPLE_F16 : BTF_SAMPLE_F32;
     desc.quantity = inside ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF;
     desc.flags = BTF_DATASET_CONCURRENT_READ;
     desc.channel_names = bonn->channel_names != NULL ? (const char *const *)bonn->channel_names : rgb;
-    desc.name = slash != NULL ? slash + 1 : bonn->file.path;
+    source_name(bonn->file.path, name);
+    desc.name = name;
     desc.texels_per_mm = bonn->texels_per_mm > 0 && bonn->texels_per_mm < 1e12f ? bonn->texels_per_mm : 0;
     desc.read = bonn_read;
     desc.user = bonn;
     desc.release = release;
     desc.notes = notes.list;
-    desc.factors = bonn_products;
+    desc.factors = common.of_views == NULL ? bonn_products : NULL;
     status = (host->dataset_create)(ctx, &desc, out);
   } else {
     release(bonn);
   }
-  (host->dirset_release)(lights);
+  bonn_common_release(host, ctx, &common);
   (host->dirset_release)(views);
   return status;
 }

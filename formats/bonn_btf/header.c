@@ -100,47 +100,55 @@ static btf_status read_meta(bonn_file *bonn, cursor *c) {
 
 /* ---- directions ---- */
 
-static btf_status read_direction(const bonn_file *bonn, cursor *c, const char *kind, uint32_t i,
-                                 float xyz[3]) {
-  const float theta = cursor_f32(c), phi = cursor_f32(c);
-  if (c->ended) return bonn_truncated(bonn, "the directions");
+void bonn_direction(const unsigned char *angles, float xyz[3]) {
+  const double theta = (double)btf_get_f32(angles), phi = (double)btf_get_f32(angles + 4);
+  xyz[0] = (float)(sin(theta) * cos(phi));
+  xyz[1] = (float)(sin(theta) * sin(phi));
+  xyz[2] = (float)cos(theta);
+}
+
+static btf_status check_angles(const bonn_file *bonn, const unsigned char *angles, const char *kind,
+                               uint32_t i) {
+  const float theta = btf_get_f32(angles), phi = btf_get_f32(angles + 4);
   if (!(fabsf(theta) <= 3.1416f) || !(fabsf(phi) <= 4 * 3.1416f))
     return (bonn->file.host->fail)(bonn->file.ctx, BTF_E_CORRUPT,
                                    "%s: %s direction %u has the angles %g and %g; expected radians",
                                    bonn->file.path, kind, (unsigned)i, (double)theta, (double)phi);
-  xyz[0] = (float)(sin(theta) * cos(phi));
-  xyz[1] = (float)(sin(theta) * sin(phi));
-  xyz[2] = (float)cos(theta);
   return BTF_OK;
 }
 
-static btf_status read_lights(bonn_file *bonn, cursor *c, uint32_t view) {
-  const btf_host *host = bonn->file.host;
-  const uint32_t count = cursor_u32(c);
-  if (view == 0) {
-    if (count < 1 || count > MOST_ANGLES || count > cursor_left(c) / 8)
-      return (host->fail)(bonn->file.ctx, BTF_E_CORRUPT,
-                          "%s: %u lights; expected 1 to %d, and the file is of %llu bytes", bonn->file.path,
-                          (unsigned)count, MOST_ANGLES, (unsigned long long)bonn->file.size);
-    bonn->light_count = count;
-    bonn->lights = (host->alloc)(bonn->file.ctx, count, 3 * sizeof(float));
-    if (bonn->lights == NULL) return BTF_E_NOMEM;
-  }
-  if (count != bonn->light_count)
-    return (host->fail)(bonn->file.ctx, BTF_E_UNSUPPORTED,
-                        "%s: view %u has %u lights and view 0 has %u; factors need the same for all views",
-                        bonn->file.path, (unsigned)view, (unsigned)count, (unsigned)bonn->light_count);
-  for (uint32_t i = 0; i < count; i++) {
-    float here[3], *xyz = view == 0 ? bonn->lights + 3 * (size_t)i : here;
-    BTF_TRY(read_direction(bonn, c, "light", i, xyz));
-    const float *first = bonn->lights + 3 * (size_t)i;
+bool bonn_same_lights(const bonn_lights *a, const bonn_lights *b) {
+  if (a->count != b->count) return false;
+  if (memcmp(a->angles, b->angles, (size_t)a->count * 8) == 0) return true;
+  for (uint32_t i = 0; i < a->count; i++) {
+    float from[3], to[3];
+    bonn_direction(a->angles + (size_t)i * 8, from);
+    bonn_direction(b->angles + (size_t)i * 8, to);
     for (int k = 0; k < 3; k++)
-      if (!(fabsf(xyz[k] - first[k]) <= same_angle))
-        return (host->fail)(
-            bonn->file.ctx, BTF_E_UNSUPPORTED,
-            "%s: light %u of view %u is not the one of view 0; factors need the same for all views",
-            bonn->file.path, (unsigned)i, (unsigned)view);
+      if (!(fabsf(from[k] - to[k]) <= same_angle)) return false;
   }
+  return true;
+}
+
+static btf_status read_lights(bonn_file *bonn, cursor *c, uint32_t view) {
+  bonn_lights *list = &bonn->lights[view];
+  list->before = bonn->pairs;
+  list->count = cursor_u32(c);
+  if (c->ended) return bonn_truncated(bonn, "the directions");
+  if (list->count < 1 || list->count > MOST_ANGLES || list->count > cursor_left(c) / 8)
+    return (bonn->file.host->fail)(
+        bonn->file.ctx, BTF_E_CORRUPT,
+        "%s: %u lights of view %u; expected 1 to %d, and the file is of %llu bytes", bonn->file.path,
+        (unsigned)list->count, (unsigned)view, MOST_ANGLES, (unsigned long long)bonn->file.size);
+  list->angles = cursor_take(c, list->count, 8);
+  bonn->pairs += list->count;
+  /* What has the bytes of the first list is as sound as that. */
+  if (view > 0 && list->count == bonn->lights[0].count &&
+      memcmp(list->angles, bonn->lights[0].angles, (size_t)list->count * 8) == 0)
+    return BTF_OK;
+  for (uint32_t i = 0; i < list->count; i++)
+    BTF_TRY(check_angles(bonn, list->angles + (size_t)i * 8, "light", i));
+  if (!bonn_same_lights(&bonn->lights[0], list)) bonn->lights_differ = true;
   return BTF_OK;
 }
 
@@ -155,8 +163,13 @@ static btf_status read_directions(bonn_file *bonn, cursor *c) {
   bonn->view_count = count;
   bonn->views = (host->alloc)(bonn->file.ctx, count, 3 * sizeof(float));
   if (bonn->views == NULL) return BTF_E_NOMEM;
+  bonn->lights = (host->alloc)(bonn->file.ctx, count, sizeof *bonn->lights);
+  if (bonn->lights == NULL) return BTF_E_NOMEM;
   for (uint32_t v = 0; v < count; v++) {
-    BTF_TRY(read_direction(bonn, c, "view", v, bonn->views + 3 * (size_t)v));
+    const unsigned char *angles = cursor_take(c, 2, 4);
+    if (angles == NULL) return bonn_truncated(bonn, "the directions");
+    BTF_TRY(check_angles(bonn, angles, "view", v));
+    bonn_direction(angles, bonn->views + 3 * (size_t)v);
     BTF_TRY(read_lights(bonn, c, v));
   }
   return BTF_OK;

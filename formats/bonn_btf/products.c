@@ -76,11 +76,10 @@ static void texel_column(const bonn_file *bonn, const origin *o, float *dst) {
 static void column(const void *user, uint32_t product, uint32_t side, uint32_t k, float *dst) {
   const bonn_file *bonn = user;
   const origin o = origin_of(bonn, product, k);
-  const uint64_t views = bonn->family == BONN_PVF ? 1 : bonn->view_count;
   if (side == BTF_SIDE_TEXEL)
     texel_column(bonn, &o, dst);
   else
-    angular_column(bonn, &o, views * bonn->light_count, dst);
+    angular_column(bonn, &o, bonn->family == BONN_PVF ? bonn->lights[0].count : bonn->pairs, dst);
 }
 
 /* Whether halves hold the vectors, colours undone. */

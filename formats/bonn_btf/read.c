@@ -40,7 +40,7 @@ static btf_status decode_channel(const bonn_file *bonn, uint32_t view, uint32_t 
   const bonn_factor *factor = &bonn->factors[bonn->family == BONN_PVF    ? view
                                              : bonn->family == BONN_DFMF ? channel
                                                                          : 0];
-  const uint64_t first = bonn->family == BONN_PVF ? light0 : (uint64_t)view * bonn->light_count + light0;
+  const uint64_t first = (bonn->family == BONN_PVF ? 0 : bonn->lights[view].before) + light0;
   const bool by_texel = mixed && factor->channels_by_texel, by_angle = mixed && !factor->channels_by_texel;
   for (uint32_t l = 0; l < lights; l++)
     fetch_row(factor, &factor->angular, by_angle ? channel + bonn->channels * (first + l) : first + l,
@@ -57,8 +57,8 @@ static btf_status decode_channel(const bonn_file *bonn, uint32_t view, uint32_t 
 /* Texels that are not there are black. */
 static void copy_fields(const bonn_file *bonn, uint32_t view, uint32_t light0, uint32_t lights, size_t texels,
                         const tile *t, float *out) {
-  const uint64_t field = (uint64_t)bonn->channels * bonn->light_count * bonn->view_count;
-  const uint64_t first = ((uint64_t)view * bonn->light_count + light0) * bonn->channels;
+  const uint64_t field = bonn->channels * bonn->pairs;
+  const uint64_t first = (bonn->lights[view].before + light0) * bonn->channels;
   const uint64_t chunk_texels = (uint64_t)bonn->fields.chunk_rows * bonn->width;
   for (size_t x = 0; x < texels; x++) {
     const uint64_t texel = t->texels[x], chunk = texel / chunk_texels;
@@ -87,6 +87,15 @@ static btf_status decode_tile(const bonn_file *bonn, uint32_t view, uint32_t lig
   return BTF_OK;
 }
 
+static void put_sample(const bonn_file *bonn, float value, char *to) {
+  if (bonn->gives_halves) {
+    const uint16_t half = btf_float_to_half(value);
+    memcpy(to, &half, sizeof half);
+  } else {
+    memcpy(to, &value, sizeof value);
+  }
+}
+
 static btf_status read_tiles(const bonn_file *bonn, const btf_block *block, tile *t, char *dst,
                              const btf_strides *strides) {
   const uint64_t texels = (uint64_t)block->width * block->height;
@@ -105,9 +114,9 @@ static btf_status read_tiles(const bonn_file *bonn, const btf_block *block, tile
             for (size_t i = 0; i < count; i++) {
               const ptrdiff_t x = (ptrdiff_t)((from + i) % block->width),
                               y = (ptrdiff_t)((from + i) / block->width);
-              memcpy(dst + (ptrdiff_t)v * strides->view + (ptrdiff_t)(l0 + l) * strides->light +
-                         y * strides->y + x * strides->x + (ptrdiff_t)c * strides->channel,
-                     &t->values[((size_t)c * lights + l) * count + i], sizeof(float));
+              char *to = dst + (ptrdiff_t)v * strides->view + (ptrdiff_t)(l0 + l) * strides->light +
+                         y * strides->y + x * strides->x + (ptrdiff_t)c * strides->channel;
+              put_sample(bonn, t->values[((size_t)c * lights + l) * count + i], to);
             }
       }
   }

@@ -45,24 +45,6 @@ static void check_samples(const bonn_case *c, const btf_dataset *ds, const btf_b
   free(samples);
 }
 
-static void check_directions(const btf_dirset *set, uint32_t count, bool light) {
-  assert_int_equal(btf_dirset_count(set), count);
-  for (uint32_t i = 0; i < count; i++) {
-    const float *d = btf_dirset_directions(set) + 3 * i;
-    float theta, phi;
-    bonn_case_angles(i, count, light, &theta, &phi);
-    assert_near(d[0], sin(theta) * cos(phi), 1e-6);
-    assert_near(d[1], sin(theta) * sin(phi), 1e-6);
-    assert_near(d[2], cos(theta), 1e-6);
-  }
-}
-
-static const char *note(const btf_dataset_desc *d, const char *key) {
-  for (uint32_t i = 0; d->notes != NULL && d->notes[i] != NULL; i += 2)
-    if (strcmp(d->notes[i], key) == 0) return d->notes[i + 1];
-  return "";
-}
-
 static void test_variants(void **state) {
   (void)state;
   for (size_t i = 0; i < bonn_case_count; i++) {
@@ -81,13 +63,15 @@ static void test_variants(void **state) {
     assert_int_equal(d.height, c->height);
     assert_int_equal(d.channels, c->channels);
     assert_string_equal(d.channel_names[0], c->version > 3 ? "410" : "R");
+    assert_int_equal(d.sample_type, c->family == BONN_CASE_BDI ? BTF_SAMPLE_F16 : BTF_SAMPLE_F32);
     assert_int_equal(d.quantity, c->cosine ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF);
     assert_near(d.texels_per_mm, c->legacy ? 0 : 7.5, 0);
-    assert_string_equal(note(&d, "bonn_setup"), c->legacy ? "" : "a dome");
-    check_directions(d.views, c->views, false);
-    check_directions(d.lights, c->lights, true);
+    assert_string_equal(format_note(&d, "bonn_setup"), c->legacy ? "" : "a dome");
+    bonn_case_check_directions(d.views, c->views, false);
+    bonn_case_check_directions(d.lights, c->lights, true);
     const btf_block whole = {0, c->views, 0, c->lights, 0, 0, c->width, c->height};
     const btf_block inner = {1, c->views - 2, 1, c->lights - 2, 1, 1, c->width - 1, c->height - 1};
+    assert_string_equal(format_note(&d, "lights_resampled"), "");
     check_samples(c, ds, &whole);
     check_samples(c, ds, &inner);
     btf_dataset_release(ds);
@@ -115,14 +99,192 @@ static void test_cosine(void **state) {
   test_context_done(ctx, &memory);
 }
 
+/* ---- lights of each view ---- */
+
+static bonn_case with_own_lights(size_t i) {
+  bonn_case c = bonn_cases[i];
+  c.own_lights = true;
+  c.views = 5;
+  if (c.family == BONN_CASE_PVF) c.components = 1; /* of one light there are no more */
+  return c;
+}
+
+/* All cases, and then all with lights of each view. */
+static bonn_case either(size_t i) {
+  return i < bonn_case_count ? bonn_cases[i] : with_own_lights(i - bonn_case_count);
+}
+
+static void unit_of(const bonn_case *c, uint32_t view, uint32_t light, double d[3]) {
+  float theta, phi;
+  bonn_case_light(c, view, light, &theta, &phi);
+  d[0] = sin(theta) * cos(phi);
+  d[1] = sin(theta) * sin(phi);
+  d[2] = cos(theta);
+}
+
+/* Barycentric coordinates of p in a triangle in the plane; false outside. */
+static bool inside(const double p[2], double corner[3][2], double weight[3]) {
+  double area = 0;
+  for (int i = 0; i < 3; i++) {
+    const double *a = corner[(i + 1) % 3], *b = corner[(i + 2) % 3];
+    weight[i] = (a[0] - p[0]) * (b[1] - p[1]) - (a[1] - p[1]) * (b[0] - p[0]);
+    area += weight[i];
+  }
+  for (int i = 0; i < 3; i++) weight[i] /= area;
+  return fmin(weight[0], fmin(weight[1], weight[2])) >= -1e-6;
+}
+
+/* Weights of a view's own lights for a direction, in parabolic coordinates; false outside of all of them.
+ * There is one way to triangulate three points, and one to do so with a fourth inside. */
+static bool own_weights(const bonn_case *c, uint32_t view, const float *direction, double weight[4]) {
+  const uint32_t count = bonn_case_lights(c, view);
+  const double p[2] = {direction[0] / (1.0 + direction[2]), direction[1] / (1.0 + direction[2])};
+  double at[4][2];
+  for (uint32_t i = 0; i < count; i++) {
+    double d[3];
+    unit_of(c, view, i, d);
+    for (int k = 0; k < 2; k++) at[i][k] = d[k] / (1 + d[2]);
+  }
+  for (int i = 0; i < 4; i++) weight[i] = count == 1 && i == 0;
+  for (uint32_t i = 0; i < (count == 4 ? 3u : count / 3); i++) {
+    const uint32_t number[3] = {i, (i + 1) % 3, count == 4 ? 3 : (i + 2) % 3};
+    double corner[3][2], w[3];
+    for (int k = 0; k < 3; k++) memcpy(corner[k], at[number[k]], sizeof corner[k]);
+    if (!inside(p, corner, w)) continue;
+    for (int k = 0; k < 3; k++) weight[number[k]] = w[k];
+    return true;
+  }
+  return count == 1;
+}
+
+/* Weights are off by what directions in floats and points rounded to 2^-24 are, some 2e-7, against triangles
+ * of height 0.07 and more: 3e-6. Samples themselves are within `tolerance`. Returns how many were inside of
+ * their view's lights. */
+static size_t check_resampled(const bonn_case *c, const btf_dataset *ds) {
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  size_t compared = 0;
+  assert_ok(btf_dataset_describe(ds, &d));
+  const uint32_t lights = btf_dirset_count(d.lights);
+  const btf_strides strides = {256, 256, 256, 256, 4};
+  for (uint32_t v = 0; v < c->views; v++)
+    for (uint32_t l = 0; l < lights; l++) {
+      double weight[4];
+      if (!own_weights(c, v, btf_dirset_directions(d.lights) + 3 * (size_t)l, weight)) continue;
+      compared++;
+      for (uint32_t y = 0; y < c->height; y++)
+        for (uint32_t x = 0; x < c->width; x++) {
+          float got[64];
+          const btf_block one = {v, 1, l, 1, x, y, 1, 1};
+          assert_ok(btf_dataset_read(ds, &one, got, &strides));
+          for (uint32_t k = 0; k < c->channels; k++) {
+            double expected = 0, bound = 0;
+            for (uint32_t i = 0; i < bonn_case_lights(c, v); i++) {
+              const double sample = bonn_case_sample(c, v, i, x, y, k);
+              expected += weight[i] * sample;
+              bound += (weight[i] * tolerance + 3e-6) * fmax(1, fabs(sample));
+            }
+            if (!(fabs(got[k] - expected) <= bound))
+              fail_msg("%s: view %u light %u texel %u %u channel %u: %.9g instead of %.9g", c->label, v, l, x,
+                       y, k, (double)got[k], expected);
+          }
+        }
+    }
+  return compared;
+}
+
+/* Degrees to the nearest light of the view where that is farthest. */
+static double largest_angle(const bonn_case *c, uint32_t common) {
+  double largest = 0;
+  for (uint32_t v = 0; v < c->views; v++)
+    for (uint32_t l = 0; l < bonn_case_lights(c, common); l++) {
+      double to[3], nearest = 4;
+      unit_of(c, common, l, to);
+      for (uint32_t i = 0; i < bonn_case_lights(c, v); i++) {
+        double own[3];
+        unit_of(c, v, i, own);
+        nearest = fmin(nearest, acos(fmin(1, own[0] * to[0] + own[1] * to[1] + own[2] * to[2])));
+      }
+      largest = fmax(largest, nearest);
+    }
+  return largest * 180 / acos(-1.0);
+}
+
+static void expect_note(const btf_dataset *ds, const char *begin, double angle) {
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  assert_ok(btf_dataset_describe(ds, &d));
+  const char *note = format_note(&d, "lights_resampled"), *number = strstr(note, "up to ");
+  assert_int_equal(strncmp(note, begin, strlen(begin)), 0);
+  assert_non_null(number);
+  assert_near(strtod(number + 6, NULL), angle, 0.005 * angle); /* three digits */
+}
+
+static void test_own_lights(void **state) {
+  (void)state;
+  for (size_t i = 0; i < bonn_case_count; i++) {
+    const bonn_case c = with_own_lights(i);
+    test_memory memory;
+    btf_context *ctx = format_context(&memory);
+    const char *path = write_case(&c);
+    const char *const first[] = {"lights", "first", NULL}, *const named[] = {"lights", "grid:4x3", NULL},
+                      *const unknown[] = {"lights", "some", NULL};
+    btf_dataset *ds;
+    btf_factors factors = BTF_FACTORS_INIT;
+    assert_ok(format_try(ctx, path, "bonn-btf", NULL, &ds));
+    expect_note(ds, "at the 4 of view 1, in 3 of 5 views; ", largest_angle(&c, 1));
+    assert_int_equal(check_resampled(&c, ds), 5 * 4); /* all are inside */
+    assert_status(btf_dataset_factors(ds, &factors), BTF_E_UNSUPPORTED);
+    assert_message_has("lights of their own");
+    btf_dataset_release(ds);
+    assert_ok(format_try(ctx, path, "bonn-btf", first, &ds));
+    expect_note(ds, "at the 3 of view 0, in 4 of 5 views; ", largest_angle(&c, 0));
+    assert_true(check_resampled(&c, ds) >= 3 + 3);
+    btf_dataset_release(ds);
+    assert_ok(format_try(ctx, path, "bonn-btf", named, &ds));
+    assert_true(check_resampled(&c, ds) >= 2 * 4 + 12);
+    btf_dataset_release(ds);
+    assert_status(format_try(ctx, path, "bonn-btf", unknown, &ds), BTF_E_INVALID_ARG);
+    assert_message_has("some");
+    test_context_done(ctx, &memory);
+  }
+}
+
+/* A file without lights of each view is resampled if that is asked for. */
+static void test_named_lights(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = format_context(&memory);
+  const char *const named[] = {"lights", "grid:4x2", NULL};
+  btf_dataset *ds;
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  assert_ok(format_try(ctx, write_case(&bonn_cases[0]), "bonn-btf", named, &ds));
+  assert_ok(btf_dataset_describe(ds, &d));
+  assert_int_equal(btf_dirset_count(d.lights), 8);
+  assert_int_equal(strncmp(format_note(&d, "lights_resampled"), "at the 8 of grid:4x2, in 4 of 4 views", 37),
+                   0);
+  btf_dataset_release(ds);
+  bonn_case many = bonn_cases[0];
+  many.views = 65; /* times 4096 is more than 2^18 */
+  const char *const fine[] = {"lights", "grid:64x64", NULL};
+  assert_status(format_try(ctx, write_case(&many), "bonn-btf", fine, &ds), BTF_E_LIMIT);
+  assert_message_has("262144 pairs");
+  many = with_own_lights(0);
+  many.views = 1710; /* of five, three have lists that no other view has */
+  assert_status(format_try(ctx, write_case(&many), "bonn-btf", NULL, &ds), BTF_E_LIMIT);
+  assert_message_has("1024 lists");
+  test_context_done(ctx, &memory);
+}
+
+/* ---- damaged files ---- */
+
 /* A file that ends early is never taken, wherever it ends. */
 static void test_truncation(void **state) {
   (void)state;
-  for (size_t i = 0; i < bonn_case_count; i++) {
+  for (size_t i = 0; i < 2 * bonn_case_count; i++) {
     test_memory memory;
     btf_context *ctx = format_context(&memory);
     const char *path = test_path("short.dat");
-    bonn_bytes bytes = bonn_case_write(&bonn_cases[i]);
+    const bonn_case c = either(i);
+    bonn_bytes bytes = bonn_case_write(&c);
     /* Shrinking one file is much faster than writing as many. */
     test_write_bytes(path, bytes.data, bytes.size);
     for (size_t size = bytes.size; size-- > 0;) {
@@ -139,8 +301,9 @@ static void test_trailing_bytes(void **state) {
   test_memory memory;
   btf_context *ctx = format_context(&memory);
   const char *path = test_path("long.dat");
-  for (size_t i = 0; i < bonn_case_count; i++) {
-    bonn_bytes bytes = bonn_case_write(&bonn_cases[i]);
+  for (size_t i = 0; i < 2 * bonn_case_count; i++) {
+    const bonn_case c = either(i);
+    bonn_bytes bytes = bonn_case_write(&c);
     bytes.data[bytes.size] = 0;
     test_write_bytes(path, bytes.data, bytes.size + 1);
     format_expect_refusal(ctx, path, "bonn-btf");
@@ -171,11 +334,12 @@ static void test_counts(void **state) {
   static const uint32_t lies[] = {0, 1, 0x52, 0x7fffffff, 0x80000000, 0xffffffff, 0x10000001, 0x55555556};
   (void)state;
   size_t refused = 0;
-  for (size_t i = 0; i < bonn_case_count; i++) {
+  for (size_t i = 0; i < 2 * bonn_case_count; i++) {
     test_memory memory;
     btf_context *ctx = format_context(&memory);
     const char *path = test_path("lie.dat");
-    bonn_bytes bytes = bonn_case_write(&bonn_cases[i]);
+    const bonn_case c = either(i);
+    bonn_bytes bytes = bonn_case_write(&c);
     test_write_bytes(path, bytes.data, bytes.size);
     FILE *file = fopen(path, "r+b");
     assert_non_null(file);
@@ -227,12 +391,16 @@ static void test_allocations(void **state) {
   const size_t cases[] = {0, 8, 18, 22};
   for (size_t k = 0; k < sizeof cases / sizeof *cases; k++)
     format_check_allocations(write_case(&bonn_cases[cases[k]]), "bonn-btf", 5);
+  const bonn_case own = with_own_lights(0);
+  format_check_allocations(write_case(&own), "bonn-btf", 20);
 }
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_variants),       cmocka_unit_test(test_cosine), cmocka_unit_test(test_truncation),
-      cmocka_unit_test(test_trailing_bytes), cmocka_unit_test(test_counts), cmocka_unit_test(test_refusals),
+      cmocka_unit_test(test_variants),    cmocka_unit_test(test_cosine),
+      cmocka_unit_test(test_own_lights),  cmocka_unit_test(test_named_lights),
+      cmocka_unit_test(test_truncation),  cmocka_unit_test(test_trailing_bytes),
+      cmocka_unit_test(test_counts),      cmocka_unit_test(test_refusals),
       cmocka_unit_test(test_allocations),
   };
   return btf_run("bonn_btf", tests);

@@ -59,6 +59,7 @@ static uint32_t below(uint64_t *seed, uint32_t n) {
 static void compare(const conversion *t, const btf_model *model, double tolerance) {
   const bonn_case *c = &t->c;
   uint64_t seed = 1;
+  double worst = 0;
   btf_model_info info = BTF_MODEL_INFO_INIT;
   assert_ok(btf_model_describe(model, &info));
   assert_int_equal(info.quantity, c->cosine ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF);
@@ -77,12 +78,17 @@ static void compare(const conversion *t, const btf_model *model, double toleranc
     btf_model_eval_as(model, &query, BTF_VALUE_STORED, value);
     for (uint32_t k = 0; k < c->channels; k++) {
       const double expected = bonn_case_sample(c, view, light, x, y, k);
-      const double bound = tolerance * fmax(1, fabs(expected));
+      const double unit = fmax(1, fabs(expected)), bound = tolerance * unit;
+      worst = fmax(worst, fmax(fabs(texel[k] - expected), fabs(value[k] - expected)) / unit);
       if (!(fabs(texel[k] - expected) <= bound) || !(fabs(value[k] - expected) <= bound))
         fail_msg("%s: view %u light %u texel %u %u channel %u: %.9g and %.9g instead of %.9g", c->label, view,
                  light, x, y, k, (double)texel[k], (double)value[k], expected);
     }
   }
+  print_message(
+      "%s%s, %u bytes a number: largest difference of 10000 samples, relative to the larger of 1 and "
+      "the value: %.3g\n",
+      c->label, c->uneven ? ", all bits" : "", c->scalar_size, worst);
 }
 
 /* Between the samples, the model interpolates what the file's samples are as a model of their own. */
@@ -154,11 +160,25 @@ static void test_every_case(void **state) {
   assert_int_equal(views_converted, 3);
 }
 
-static bonn_case case_named(const char *label) {
-  for (size_t i = 0; i < bonn_case_count; i++)
-    if (strcmp(bonn_cases[i].label, label) == 0) return bonn_cases[i];
-  fail_msg("no case %s", label);
-  return bonn_cases[0];
+/* Numbers of all bits: 10000 samples of files of floats and of halves. Products of 24 bits are rounded, and
+ * up to four are added: 7 roundings of sums below 4 are within 7 * 2^-23 < exact. */
+static void test_uneven(void **state) {
+  (void)state;
+  static const char *const labels[] = {
+      "FMF float, cosine", "FMF half", "FMF double, xml", "DFMF RGB", "DFMF YUV",
+      "FMF by texel",      "PVF",      "PVF by texel"};
+  for (size_t i = 0; i < sizeof labels / sizeof *labels; i++) {
+    conversion t;
+    btf_model *model;
+    bonn_case c = bonn_case_named(labels[i]);
+    c.uneven = true;
+    begin(&t, &c);
+    assert_ok(convert(&t, c.family == BONN_CASE_PVF ? "pvpca" : "fmf", "", NULL, &model));
+    compare(&t, model, exact);
+    compare_between(&t, model, exact);
+    btf_model_release(model);
+    end(&t);
+  }
 }
 
 /* Storage of the caller's choice, and what halves make of colour weights that are none: each of two vectors
@@ -167,7 +187,7 @@ static void test_storage(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  const bonn_case yuv = case_named("DFMF YUV"), half = case_named("FMF half");
+  const bonn_case yuv = bonn_case_named("DFMF YUV"), half = bonn_case_named("FMF half");
   begin(&t, &yuv);
   assert_ok(convert(&t, "fmf", "storage=f16", NULL, &model));
   compare(&t, model, 12.3 * (2 * 0x1p-11 + 0x1p-22));
@@ -193,7 +213,7 @@ static void test_many_components(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  bonn_case c = case_named("DFMF RGB");
+  bonn_case c = bonn_case_named("DFMF RGB");
   c.views = 12;
   c.lights = 10;
   c.width = 12;
@@ -217,7 +237,7 @@ static void test_not_finite(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  const bonn_case c = case_named("FMF float, cosine");
+  const bonn_case c = bonn_case_named("FMF float, cosine");
   begin(&t, &c);
   btf_dataset_release(t.ds);
   bonn_bytes bytes = bonn_case_write(&c);
@@ -236,7 +256,7 @@ static void test_views_storage(void **state) {
   (void)state;
   conversion t;
   btf_model *model, *wide;
-  const bonn_case half = case_named("PVF"), single = case_named("PVF by texel");
+  const bonn_case half = bonn_case_named("PVF"), single = bonn_case_named("PVF by texel");
   begin(&t, &half);
   assert_ok(convert(&t, "pvpca", "", NULL, &model));
   assert_ok(convert(&t, "pvpca", "storage=f32", NULL, &wide));
@@ -266,7 +286,7 @@ static void test_many_in_a_view(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  bonn_case c = case_named("PVF");
+  bonn_case c = bonn_case_named("PVF");
   c.lights = 30;
   c.width = c.height = 9;
   c.components = 63; /* and the mean */
@@ -289,7 +309,7 @@ static void test_levels_of_views(void **state) {
   (void)state;
   conversion t;
   btf_model *model;
-  bonn_case c = case_named("PVF");
+  bonn_case c = bonn_case_named("PVF");
   c.width = c.height = 4;
   begin(&t, &c);
   assert_ok(convert(&t, "pvpca", "", NULL, &model));
@@ -325,7 +345,7 @@ static void test_factors_of_models(void **state) {
                                      "components=3 storage=q8", "components=1 mean=false budget=adaptive",
                                      "components=3 color=texels storage=q8 budget=adaptive"};
   conversion t;
-  const bonn_case c = case_named("PVF");
+  const bonn_case c = bonn_case_named("PVF");
   begin(&t, &c);
   btf_dataset *const measured = t.ds;
   for (size_t i = 0; i < sizeof fits / sizeof *fits; i++) {
@@ -365,7 +385,7 @@ static void test_views_refusals(void **state) {
       {"color=texels", "color"}};
   conversion t;
   btf_model *model;
-  bonn_case c = case_named("PVF");
+  bonn_case c = bonn_case_named("PVF");
   c.width = c.height = 64;
   begin(&t, &c);
   for (size_t i = 0; i < sizeof of_fit / sizeof *of_fit; i++) {
@@ -395,10 +415,10 @@ static void test_views_refusals(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_every_case),      cmocka_unit_test(test_storage),
-      cmocka_unit_test(test_many_components), cmocka_unit_test(test_not_finite),
-      cmocka_unit_test(test_views_storage),   cmocka_unit_test(test_many_in_a_view),
-      cmocka_unit_test(test_levels_of_views), cmocka_unit_test(test_factors_of_models),
-      cmocka_unit_test(test_views_refusals)};
+      cmocka_unit_test(test_every_case),        cmocka_unit_test(test_uneven),
+      cmocka_unit_test(test_storage),           cmocka_unit_test(test_many_components),
+      cmocka_unit_test(test_not_finite),        cmocka_unit_test(test_views_storage),
+      cmocka_unit_test(test_many_in_a_view),    cmocka_unit_test(test_levels_of_views),
+      cmocka_unit_test(test_factors_of_models), cmocka_unit_test(test_views_refusals)};
   return btf_run("bonn_convert", tests);
 }

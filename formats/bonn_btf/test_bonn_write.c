@@ -23,13 +23,6 @@ typedef struct writing {
   const char *path; /* written */
 } writing;
 
-static bonn_case case_named(const char *label) {
-  for (size_t i = 0; i < bonn_case_count; i++)
-    if (strcmp(bonn_cases[i].label, label) == 0) return bonn_cases[i];
-  fail_msg("no case %s", label);
-  return bonn_cases[0];
-}
-
 static void begin(writing *t, const bonn_case *c) {
   t->c = *c;
   t->ctx = format_context(&t->memory);
@@ -59,24 +52,6 @@ static btf_status write_with(const writing *t, const char *const *settings, cons
   return status;
 }
 
-static const char *note(const btf_dataset_desc *d, const char *key) {
-  for (uint32_t i = 0; d->notes != NULL && d->notes[i] != NULL; i += 2)
-    if (strcmp(d->notes[i], key) == 0) return d->notes[i + 1];
-  return "";
-}
-
-static void check_directions(const btf_dirset *set, uint32_t count, bool light) {
-  assert_int_equal(btf_dirset_count(set), count);
-  for (uint32_t i = 0; i < count; i++) {
-    const float *d = btf_dirset_directions(set) + 3 * i;
-    float theta, phi;
-    bonn_case_angles(i, count, light, &theta, &phi);
-    assert_near(d[0], sin(theta) * cos(phi), 1e-6);
-    assert_near(d[1], sin(theta) * sin(phi), 1e-6);
-    assert_near(d[2], cos(theta), 1e-6);
-  }
-}
-
 static void read_back(const writing *t, const char *family, double tolerance) {
   const bonn_case *c = &t->c;
   btf_dataset *ds;
@@ -84,13 +59,13 @@ static void read_back(const writing *t, const char *family, double tolerance) {
   assert_ok(btf_format_open(t->ctx, t->path, NULL, NULL, &ds));
   assert_ok(btf_dataset_describe(ds, &d));
   assert_ok(btf_dataset_describe(t->ds, &from));
-  assert_string_equal(note(&d, "bonn_family"), family);
-  assert_string_equal(note(&d, "bonn_setup"), note(&from, "bonn_setup"));
+  assert_string_equal(format_note(&d, "bonn_family"), family);
+  assert_string_equal(format_note(&d, "bonn_setup"), format_note(&from, "bonn_setup"));
   assert_int_equal(d.quantity, from.quantity);
   assert_near(d.texels_per_mm, from.texels_per_mm, 0);
   for (uint32_t k = 0; k < c->channels; k++) assert_string_equal(d.channel_names[k], from.channel_names[k]);
-  check_directions(d.views, c->views, false);
-  check_directions(d.lights, c->lights, true);
+  bonn_case_check_directions(d.views, c->views, false);
+  bonn_case_check_directions(d.lights, c->lights, true);
   for (uint32_t v = 0; v < c->views; v++)
     for (uint32_t l = 0; l < c->lights; l++)
       for (uint32_t y = 0; y < c->height; y++)
@@ -131,7 +106,7 @@ static void test_forms(void **state) {
   for (size_t i = 0; i < sizeof labels / sizeof *labels; i++)
     for (size_t k = 0; k < sizeof forms / sizeof *forms; k++) {
       writing t;
-      bonn_case c = case_named(labels[i]);
+      bonn_case c = bonn_case_named(labels[i]);
       c.width += 4; /* room for components of each channel */
       c.views += 3;
       begin(&t, &c);
@@ -153,7 +128,7 @@ static void test_forms(void **state) {
 static void test_channels(void **state) {
   (void)state;
   writing t;
-  bonn_case c = case_named("DFMF RGB");
+  bonn_case c = bonn_case_named("DFMF RGB");
   const char *const dfmf[] = {"family", "dfmf", NULL}, *const half[] = {"scalar", "half", NULL},
                     *const by_channel[] = {"family", "dfmf", "scalar", "half", NULL};
   btf_dataset *again;
@@ -164,10 +139,10 @@ static void test_channels(void **state) {
   read_back(&t, "DFMF", exact);
   assert_ok(btf_format_open(t.ctx, t.path, NULL, NULL, &again));
   assert_ok(btf_dataset_describe(again, &d));
-  assert_string_equal(note(&d, "bonn_components"), "4");
+  assert_string_equal(format_note(&d, "bonn_components"), "4");
   btf_dataset_release(again);
   end(&t);
-  c = case_named("DFMF YUV");
+  c = bonn_case_named("DFMF YUV");
   c.width += 4;
   begin(&t, &c);
   assert_ok(write_with(&t, dfmf, NULL)); /* these are no halves */
@@ -182,7 +157,7 @@ static void test_channels(void **state) {
 static void test_models(void **state) {
   (void)state;
   writing t;
-  bonn_case c = case_named("FMF float, cosine");
+  bonn_case c = bonn_case_named("FMF float, cosine");
   const char *const defaults[] = {NULL}, *const half[] = {"scalar", "half", NULL};
   begin(&t, &c);
   const btf_codec *fmf = btf_codec_find(t.ctx, "fmf");
@@ -203,29 +178,161 @@ static void test_models(void **state) {
   end(&t);
 }
 
-/* Rows are written in runs that fit the working set, whatever it is. */
+/* Whatever the working set, the file is the same and no more than that is allocated, or it is refused before
+ * anything that grows with the factors is: 4 vectors of 60 floats and as many of 6 are 1056 bytes. Beside the
+ * working set there are options, and a file being written that the library keeps the paths of: 2 KiB. */
 static void test_budget(void **state) {
   (void)state;
+  enum { BESIDE = 2048 };
   writing t;
-  bonn_case c = case_named("FMF half");
+  bonn_case c = bonn_case_named("FMF half");
   const char *const defaults[] = {NULL};
-  size_t whole_size, size;
+  size_t whole_size, size, least = 0;
   btf_job job = BTF_JOB_INIT;
   begin(&t, &c);
   assert_ok(write_with(&t, defaults, NULL));
   unsigned char *whole = test_read_bytes(t.path, &whole_size);
-  /* Vectors of 4 * 5 * 3 floats for each thread, and a row of 4 components. */
-  job.max_working_set = 4 * 60 * (uint64_t)btf_context_threads(t.ctx) + 16;
-  assert_ok(write_with(&t, defaults, &job));
-  unsigned char *rows = test_read_bytes(t.path, &size);
-  assert_int_equal(size, whole_size);
-  assert_memory_equal(rows, whole, size);
-  job.max_working_set--;
-  assert_status(write_with(&t, defaults, &job), BTF_E_LIMIT);
-  assert_message_has("would do");
-  free(rows);
+  for (job.max_working_set = 16; job.max_working_set < 16384; job.max_working_set += 16) {
+    const size_t before = t.memory.live_bytes;
+    t.memory.peak_bytes = before;
+    const btf_status status = write_with(&t, defaults, &job);
+    const size_t used = t.memory.peak_bytes - before;
+    if (status != BTF_OK) {
+      assert_int_equal(status, BTF_E_LIMIT);
+      assert_message_has("would do");
+      assert_int_equal(least, 0); /* more is never too little */
+      assert_true(used <= BESIDE);
+      continue;
+    }
+    if (least == 0) least = job.max_working_set;
+    assert_true(used <= job.max_working_set + BESIDE);
+    unsigned char *rows = test_read_bytes(t.path, &size);
+    assert_int_equal(size, whole_size);
+    assert_memory_equal(rows, whole, size);
+    free(rows);
+  }
+  assert_true(least > 4 * 60 && least < 2048);
   free(whole);
   end(&t);
+}
+
+/* ---- what halves hold ---- */
+
+enum { ROWS = 12, TEXELS = 12, PLANTED = 2 };
+
+/* Two components of given largest magnitudes on either side, with values down to 2^-11 of those. */
+typedef struct planted {
+  const char *label;
+  double magnitude[PLANTED][2]; /* of angular and texel vectors; 0 = the component is 0 */
+  bool dyadic;                  /* values of few bits, which halves hold as they are */
+  bool halves;                  /* what `auto` makes of it */
+} planted;
+
+static double planted_value(const planted *p, uint32_t k, uint32_t side, uint32_t i) {
+  const double mantissa = p->dyadic ? 1 : 1 - (double)((i * 7 + k * 5 + side * 3) % 11) / 37;
+  return p->magnitude[k][side] * (i % 3 == 1 ? -1 : 1) * ldexp(mantissa, -(int)((i + k) % 12));
+}
+
+static void planted_column(const void *user, uint32_t product, uint32_t side, uint32_t k, float *dst) {
+  (void)product;
+  for (uint32_t i = 0; i < (side == BTF_SIDE_TEXEL ? TEXELS : ROWS); i++)
+    dst[i] = (float)planted_value(user, k, side, i);
+}
+
+static btf_status planted_factors(void *user, btf_factors *out) {
+  static const uint32_t components[] = {PLANTED};
+  out->products = 1;
+  out->value_bytes = 2;
+  out->components = components;
+  out->column = planted_column;
+  out->user = user;
+  return BTF_OK;
+}
+
+static btf_status planted_read(void *user, const btf_block *block, void *dst, const btf_strides *strides) {
+  (void)user, (void)block, (void)dst, (void)strides;
+  return btf_source_error(BTF_E_UNSUPPORTED, "only its factors are written");
+}
+
+static btf_dataset *planted_dataset(btf_context *ctx, planted *p) {
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  btf_dirset *lights, *views;
+  btf_dataset *ds;
+  assert_ok(btf_dirset_create_named(ctx, "grid:2x2", &lights));
+  assert_ok(btf_dirset_create_named(ctx, "grid:3x1", &views));
+  d.lights = lights;
+  d.views = views;
+  d.width = 4;
+  d.height = 3;
+  d.channels = 1;
+  d.read = planted_read;
+  d.factors = planted_factors;
+  d.user = p;
+  assert_ok(btf_dataset_create(ctx, &d, &ds));
+  btf_dirset_release(lights);
+  btf_dirset_release(views);
+  return ds;
+}
+
+/* Every sample is within 2^-10 + 2^-22 times the sum of the products of the largest magnitudes, as the
+ * documentation says; beside that, floats round two products and their sum. */
+static void check_planted(const writing *t, const planted *p, bool halves) {
+  double sum = 0;
+  btf_dataset *ds;
+  assert_ok(btf_format_open(t->ctx, t->path, NULL, NULL, &ds));
+  for (uint32_t k = 0; k < PLANTED; k++) sum += p->magnitude[k][0] * p->magnitude[k][1];
+  const double bound = sum * ((halves ? 0x1p-10 + 0x1p-22 : 0) + 6 * 0x1p-24);
+  for (uint32_t row = 0; row < ROWS; row++)
+    for (uint32_t texel = 0; texel < TEXELS; texel++) {
+      float got;
+      double expected = 0;
+      const btf_block one = {row / 4, 1, row % 4, 1, texel % 4, texel / 4, 1, 1};
+      const btf_strides strides = {4, 4, 4, 4, 4};
+      assert_ok(btf_dataset_read(ds, &one, &got, &strides));
+      for (uint32_t k = 0; k < PLANTED; k++)
+        expected += (double)(float)planted_value(p, k, 0, row) * (double)(float)planted_value(p, k, 1, texel);
+      if (!(fabs((double)got - expected) <= bound))
+        fail_msg("%s: row %u texel %u: %.9g instead of %.9g within %.3g", p->label, row, texel, (double)got,
+                 expected, bound);
+    }
+  btf_dataset_release(ds);
+}
+
+static void test_magnitudes(void **state) {
+  (void)state;
+  const char *const automatic[] = {NULL}, *const half[] = {"scalar", "half", NULL};
+  static planted cases[] = {
+      {"ordinary", {{1, 1}, {0.5, 0.25}}, false, true},
+      {"far apart", {{0x1p-30, 0x1p20}, {0x1p40, 0x1p-50}}, false, true},
+      {"small", {{0x1p-20, 0x1p-20}, {0, 0}}, false, false},
+      {"all small", {{0x1p-18, 0x1p-20}, {0x1p-60, 0x1p20}}, false, false},
+      {"a small one among others", {{1, 1}, {0x1p-20, 0x1p-20}}, false, true},
+      {"small, of few bits", {{0x1p-13, 0x1p-13}, {0, 0}}, true, true},
+      {"large", {{0x1p20, 0x1p20}, {0, 0}}, false, false},
+      {"a large one among others", {{1, 1}, {0x1p30, 0x1p10}}, false, false},
+  };
+  for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+    planted *p = &cases[i];
+    writing t = {.path = test_path("written.btf")};
+    t.ctx = format_context(&t.memory);
+    t.ds = planted_dataset(t.ctx, p);
+    assert_ok(write_with(&t, automatic, NULL));
+    check_planted(&t, p, p->halves);
+    const size_t automatic_bytes = written_bytes(&t);
+    const btf_status status = write_with(&t, half, NULL);
+    if (p->halves) {
+      assert_int_equal(status, BTF_OK);
+      assert_int_equal(written_bytes(&t), automatic_bytes);
+      check_planted(&t, p, true);
+    } else {
+      assert_int_equal(status, BTF_E_UNSUPPORTED);
+      assert_message_has(p->magnitude[0][0] < 1 ? "too small for halves" : "too large for halves");
+      const char *const floats[] = {"scalar", "float", NULL};
+      assert_ok(write_with(&t, floats, NULL));
+      assert_int_equal(written_bytes(&t), automatic_bytes);
+    }
+    end(&t);
+  }
 }
 
 static void expect_refusal(const bonn_case *c, const char *const *settings, btf_status expected,
@@ -241,14 +348,14 @@ static void expect_refusal(const bonn_case *c, const char *const *settings, btf_
 static void test_refusals(void **state) {
   (void)state;
   const char *const defaults[] = {NULL};
-  bonn_case c = case_named("BDI");
+  bonn_case c = bonn_case_named("BDI");
   expect_refusal(&c, defaults, BTF_E_UNSUPPORTED, "samples");
-  c = case_named("PVF");
+  c = bonn_case_named("PVF");
   expect_refusal(&c, defaults, BTF_E_UNSUPPORTED, "each view");
-  c = case_named("DFMF RGB"); /* 12 components in one, of 6 texels */
+  c = bonn_case_named("DFMF RGB"); /* 12 components in one, of 6 texels */
   expect_refusal(&c, defaults, BTF_E_UNSUPPORTED, "12 components");
   writing t;
-  c = case_named("FMF half");
+  c = bonn_case_named("FMF half");
   begin(&t, &c);
   const btf_format *format = btf_format_find(t.ctx, "bonn-btf");
   btf_options *reading;
@@ -287,7 +394,7 @@ static int32_t cancel(void *user, double fraction, const char *stage) {
 static void test_failures(void **state) {
   (void)state;
   writing t;
-  const bonn_case c = case_named("FMF half");
+  const bonn_case c = bonn_case_named("FMF half");
   const char *const dfmf[] = {"family", "dfmf", NULL};
   begin(&t, &c);
   for (int there = 0; there < 2; there++) {
@@ -333,8 +440,9 @@ static void test_failures(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_forms),  cmocka_unit_test(test_channels), cmocka_unit_test(test_models),
-      cmocka_unit_test(test_budget), cmocka_unit_test(test_refusals), cmocka_unit_test(test_failures),
+      cmocka_unit_test(test_forms),    cmocka_unit_test(test_channels),   cmocka_unit_test(test_models),
+      cmocka_unit_test(test_budget),   cmocka_unit_test(test_magnitudes), cmocka_unit_test(test_refusals),
+      cmocka_unit_test(test_failures),
   };
   return btf_run("bonn_write", tests);
 }

@@ -23,6 +23,7 @@ typedef struct component {
   float largest[2];
   uint64_t channels; /* a bit for each that it is not 0 in */
   float scale[2];    /* powers of two that the vectors are stored times */
+  double off[2];     /* largest error of the stored halves, before that scale is taken out */
   bool finite;
 } component;
 
@@ -38,7 +39,9 @@ typedef struct writing {
   bool halves;
   btf_io io;
   uint64_t offset;
-  float *values; /* of each thread */
+  uint32_t buffers;     /* tasks at once, with a vector for each */
+  float *values;        /* those vectors */
+  uint64_t most_values; /* of rows that are written at once */
   component *components;
   uint32_t *used; /* components of the matrix at work */
   uint32_t used_count;
@@ -130,9 +133,26 @@ static btf_status put_directions(writing *w) {
 
 /* ---- components ---- */
 
-static void measure(void *job, uint32_t k, uint32_t thread) {
-  const writing *w = job;
-  float *values = w->values + thread * w->longest;
+static double half_error(const float *values, uint64_t count, float scale) {
+  double most = 0;
+  for (uint64_t i = 0; i < count; i++) {
+    const double stored = (double)btf_half_to_float(btf_float_to_half(values[i] * scale));
+    most = fmax(most, fabs(stored - (double)values[i] * (double)scale));
+  }
+  return most;
+}
+
+/* Both sides of a component get about the same magnitude, for halves hold 6e-5 to 65504 to full precision. */
+static void balance(component *m) {
+  int exponent[2];
+  frexpf(m->largest[0], &exponent[0]);
+  frexpf(m->largest[1], &exponent[1]);
+  const int apart = (exponent[1] - exponent[0]) / 2, shift = apart < -126 ? -126 : apart > 126 ? 126 : apart;
+  m->scale[0] = ldexpf(1, shift);
+  m->scale[1] = ldexpf(1, -shift);
+}
+
+static void measure_component(const writing *w, uint32_t k, float *values) {
   component *m = &w->components[k];
   *m = (component){.scale = {1, 1}, .finite = true};
   for (uint32_t side = 0; side < 2; side++) {
@@ -145,26 +165,52 @@ static void measure(void *job, uint32_t k, uint32_t thread) {
     m->finite = m->finite && isfinite(m->square[side]);
   }
   if (m->square[BTF_SIDE_TEXEL] == 0) m->channels = 0;
+  if (!w->halves || !m->finite || m->channels == 0) return;
+  balance(m);
+  m->off[BTF_SIDE_TEXEL] = half_error(values, w->length[BTF_SIDE_TEXEL], m->scale[BTF_SIDE_TEXEL]);
+  w->factors.column(w->factors.user, 0, BTF_SIDE_ANGULAR, k, values);
+  m->off[BTF_SIDE_ANGULAR] = half_error(values, w->length[BTF_SIDE_ANGULAR], m->scale[BTF_SIDE_ANGULAR]);
 }
 
-/* Halves hold 6e-5 to 65504 to full precision: both sides of a component get about the same magnitude. */
-static btf_status balance(writing *w, uint32_t k) {
-  component *m = &w->components[k];
-  int exponent[2];
-  if (!m->finite)
-    return (w->host->fail)(w->ctx, BTF_E_CORRUPT, "%s: component %u of the factors is not finite", w->path,
-                           (unsigned)k);
-  if (!w->halves || m->channels == 0) return BTF_OK;
-  frexpf(m->largest[0], &exponent[0]);
-  frexpf(m->largest[1], &exponent[1]);
-  const int shift = (exponent[1] - exponent[0]) / 2;
-  m->scale[0] = ldexpf(1, shift);
-  m->scale[1] = ldexpf(1, -shift);
-  for (int side = 0; side < 2; side++)
-    if (m->largest[side] * m->scale[side] > 65504)
-      return (w->host->fail)(w->ctx, BTF_E_UNSUPPORTED,
-                             "%s: component %u of the factors is too large for halves (scalar=float)",
-                             w->path, (unsigned)k);
+static void measure(void *job, uint32_t task, uint32_t thread) {
+  const writing *w = job;
+  (void)thread;
+  for (uint32_t k = task; k < w->factors.components[0]; k += w->buffers)
+    measure_component(w, k, w->values + task * w->longest);
+}
+
+/* A product of two values that are off by e and f is off by |a| f + |b| e + e f. Halves of full precision are
+ * off by 2^-11 of the value at most, smaller ones by 2^-25, larger ones are infinite. Together that must stay
+ * within what full precision gives where all are largest. */
+static btf_status check_halves(writing *w) {
+  static const double precision = 0x1p-10 + 0x1p-22;
+  double off = 0, most = 0;
+  for (uint32_t k = 0; k < w->factors.components[0]; k++) {
+    const component *m = &w->components[k];
+    if (m->channels == 0) continue;
+    const double a = (double)m->largest[0] * (double)m->scale[0],
+                 b = (double)m->largest[1] * (double)m->scale[1];
+    off += a * m->off[1] + b * m->off[0] + m->off[0] * m->off[1];
+    most += precision * a * b;
+  }
+  if (off <= most) return BTF_OK;
+  return (w->host->fail)(
+      w->ctx, BTF_E_UNSUPPORTED,
+      "%s: the factors are too %s for halves, which would put samples off by %.3g instead of at "
+      "most %.3g (scalar=float)",
+      w->path, isinf(off) ? "large" : "small", off, most);
+}
+
+static btf_status choose_numbers(writing *w, bool may_be_floats) {
+  const uint32_t components = w->factors.components[0];
+  for (uint32_t k = 0; k < components; k++)
+    if (!w->components[k].finite)
+      return (w->host->fail)(w->ctx, BTF_E_CORRUPT, "%s: component %u of the factors is not finite", w->path,
+                             (unsigned)k);
+  const btf_status status = w->halves ? check_halves(w) : BTF_OK;
+  if (status == BTF_OK || !may_be_floats) return status;
+  w->halves = false;
+  for (uint32_t k = 0; k < components; k++) w->components[k].scale[0] = w->components[k].scale[1] = 1;
   return BTF_OK;
 }
 
@@ -185,14 +231,17 @@ static uint64_t index_of(const rows *r, uint64_t row) {
   return (w->desc.height - 1 - row / w->desc.width) * w->desc.width + row % w->desc.width;
 }
 
-static void fill_component(void *job, uint32_t i, uint32_t thread) {
+static void fill_components(void *job, uint32_t task, uint32_t thread) {
   const rows *r = job;
   const writing *w = r->w;
-  float *values = w->values + thread * w->longest;
-  const float scale = w->components[w->used[i]].scale[r->side];
-  w->factors.column(w->factors.user, 0, r->side, w->used[i], values);
-  for (uint64_t row = 0; row < r->count; row++)
-    r->values[row * w->used_count + i] = values[index_of(r, r->first + row)] * scale;
+  float *values = w->values + task * w->longest;
+  (void)thread;
+  for (uint32_t i = task; i < w->used_count; i += w->buffers) {
+    const float scale = w->components[w->used[i]].scale[r->side];
+    w->factors.column(w->factors.user, 0, r->side, w->used[i], values);
+    for (uint64_t row = 0; row < r->count; row++)
+      r->values[row * w->used_count + i] = values[index_of(r, r->first + row)] * scale;
+  }
 }
 
 static btf_status put_values(writing *w, float *values, uint64_t count) {
@@ -212,12 +261,11 @@ static btf_status put_values(writing *w, float *values, uint64_t count) {
   return (w->host->progress)(w->job, w->done / w->to_do, "writing");
 }
 
-static btf_status put_side(writing *w, uint32_t side, uint32_t channel, uint64_t most_values) {
+static btf_status put_side(writing *w, uint32_t side, uint32_t channel) {
   const uint64_t all = side == BTF_SIDE_TEXEL    ? w->texels
                        : channel == ALL_CHANNELS ? w->length[BTF_SIDE_ANGULAR]
                                                  : w->pairs;
-  uint64_t at_once = most_values / w->used_count;
-  if (at_once < 1) at_once = 1;
+  uint64_t at_once = w->most_values / w->used_count;
   if (at_once > all) at_once = all;
   rows r = {.w = w, .side = side, .channel = channel};
   r.values = (w->host->alloc)(w->ctx, at_once * w->used_count, sizeof *r.values);
@@ -225,7 +273,7 @@ static btf_status put_side(writing *w, uint32_t side, uint32_t channel, uint64_t
   btf_status status = BTF_OK;
   for (r.first = 0; r.first < all && status == BTF_OK; r.first += r.count) {
     r.count = all - r.first < at_once ? all - r.first : at_once;
-    status = (w->host->parallel)(w->ctx, w->used_count, fill_component, &r);
+    status = (w->host->parallel)(w->ctx, w->buffers, fill_components, &r);
     if (status == BTF_OK) status = put_values(w, r.values, r.count * w->used_count);
   }
   (w->host->free)(w->ctx, r.values);
@@ -245,7 +293,7 @@ static uint64_t matrix_rows(const writing *w, uint32_t channel) {
   return channel == ALL_CHANNELS ? w->length[BTF_SIDE_ANGULAR] : w->pairs;
 }
 
-static btf_status put_matrix(writing *w, uint32_t channel, uint64_t most_values) {
+static btf_status put_matrix(writing *w, uint32_t channel) {
   const unsigned char size = w->halves ? 2 : 4;
   choose_components(w, channel);
   BTF_TRY(put(w, &size, 1));
@@ -264,8 +312,8 @@ static btf_status put_matrix(writing *w, uint32_t channel, uint64_t most_values)
     }
     BTF_TRY(put(w, bytes, size));
   }
-  BTF_TRY(put_side(w, BTF_SIDE_ANGULAR, channel, most_values));
-  return put_side(w, BTF_SIDE_TEXEL, channel, most_values);
+  BTF_TRY(put_side(w, BTF_SIDE_ANGULAR, channel));
+  return put_side(w, BTF_SIDE_TEXEL, channel);
 }
 
 /* Readers refuse more components than a matrix has rows or columns. */
@@ -283,7 +331,7 @@ static btf_status check_counts(writing *w, uint32_t channel) {
 
 /* ---- the file ---- */
 
-static btf_status put_all(writing *w, bool by_channel, uint64_t most_values) {
+static btf_status put_all(writing *w, bool by_channel) {
   uint32_t most = 0;
   const uint32_t first = by_channel ? 0 : ALL_CHANNELS,
                  last = by_channel ? w->desc.channels - 1 : ALL_CHANNELS;
@@ -303,7 +351,7 @@ static btf_status put_all(writing *w, bool by_channel, uint64_t most_values) {
     BTF_TRY(put_u32(w, 0)); /* RGB as it is; its mean and matrix */
     for (int i = 0; i < 12; i++) BTF_TRY(put_f32(w, i >= 3 && i % 4 == 3));
   }
-  for (uint32_t c = first; c <= last; c++) BTF_TRY(put_matrix(w, c, most_values));
+  for (uint32_t c = first; c <= last; c++) BTF_TRY(put_matrix(w, c));
   return BTF_OK;
 }
 
@@ -315,6 +363,27 @@ static btf_status check_sizes(const writing *w) {
         w->ctx, BTF_E_UNSUPPORTED,
         "%s: the factors are of each view by itself; those of all views in one are written", w->path);
   return BTF_OK;
+}
+
+/* Divides the working set: what is known of each component, then up to half of the rest for vectors, of which
+ * whole ones are made, then rows that are written at once, one at least. */
+static btf_status make_room(writing *w) {
+  const btf_host *host = w->host;
+  const uint64_t components = w->factors.components[0], vector = w->longest * sizeof *w->values;
+  const uint64_t fixed = sizeof *w + components * (sizeof *w->components + sizeof *w->used);
+  const uint64_t row = components * sizeof *w->values, least = fixed + row + vector;
+  const uint64_t budget = w->job->max_working_set, threads = (host->thread_count)(w->ctx);
+  if (budget < least)
+    return (host->fail)(w->ctx, BTF_E_LIMIT,
+                        "%s: a working set of %.0f MiB is too small for these factors; %.0f MiB would do",
+                        w->path, (double)budget / 1048576, ceil((double)least / 1048576));
+  const uint64_t vectors = (budget - fixed - row) / 2 / vector;
+  w->buffers = (uint32_t)(vectors < 1 ? 1 : vectors < threads ? vectors : threads);
+  w->most_values = (budget - fixed - w->buffers * vector) / sizeof *w->values;
+  w->values = (host->alloc)(w->ctx, w->buffers, vector);
+  w->components = (host->alloc)(w->ctx, components, sizeof *w->components);
+  w->used = (host->alloc)(w->ctx, components, sizeof *w->used);
+  return w->values != NULL && w->components != NULL && w->used != NULL ? BTF_OK : BTF_E_NOMEM;
 }
 
 static btf_status prepare(writing *w, const btf_options *options, const btf_dataset *ds) {
@@ -331,35 +400,15 @@ static btf_status prepare(writing *w, const btf_options *options, const btf_data
   w->longest = w->length[0] > w->length[1] ? w->length[0] : w->length[1];
   w->halves = number == HALF || (number == AUTO && w->factors.value_bytes == 2);
   BTF_TRY(check_sizes(w));
-  const uint32_t components = w->factors.components[0];
-  w->values = (host->alloc)(w->ctx, w->longest * (host->thread_count)(w->ctx), sizeof *w->values);
-  w->components = (host->alloc)(w->ctx, components, sizeof *w->components);
-  w->used = (host->alloc)(w->ctx, components, sizeof *w->used);
-  if (w->values == NULL || w->components == NULL || w->used == NULL) return BTF_E_NOMEM;
+  BTF_TRY(make_room(w));
   BTF_TRY((host->progress)(w->job, 0, "writing"));
-  BTF_TRY((host->parallel)(w->ctx, components, measure, w));
-  for (uint32_t k = 0; k < components; k++) BTF_TRY(balance(w, k));
-  return BTF_OK;
-}
-
-/* Rows that are written at once take what is left beside a vector for each thread. */
-static btf_status room_for_rows(const writing *w, uint64_t *values) {
-  const uint64_t components = w->factors.components[0];
-  const uint64_t vectors = 4 * w->longest * (w->host->thread_count)(w->ctx), least = vectors + 4 * components;
-  const uint64_t budget = w->job->max_working_set;
-  if (budget < least)
-    return (w->host->fail)(w->ctx, BTF_E_LIMIT,
-                           "%s: a working set of %.0f MiB is too small for these factors; %.0f MiB would do",
-                           w->path, (double)budget / 1048576, ceil((double)least / 1048576));
-  *values = (budget - vectors) / 4;
-  return BTF_OK;
+  BTF_TRY((host->parallel)(w->ctx, w->buffers, measure, w));
+  return choose_numbers(w, number == AUTO);
 }
 
 static btf_status write_prepared(writing *w, bool by_channel) {
-  uint64_t most_values = 0;
-  BTF_TRY(room_for_rows(w, &most_values));
   BTF_TRY((w->host->io_file)(w->ctx, w->path, BTF_IO_WRITE, &w->io));
-  btf_status status = put_all(w, by_channel, most_values);
+  btf_status status = put_all(w, by_channel);
   if (w->io.close(w->io.user, status != BTF_OK) != 0 && status == BTF_OK)
     status = (w->host->fail)(w->ctx, BTF_E_IO, "%s: could not be written: %s", w->path, strerror(errno));
   return status;

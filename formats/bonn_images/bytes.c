@@ -32,16 +32,32 @@ static btf_status read_at(int descriptor, unsigned char *dst, uint64_t size, uin
   return BTF_OK;
 }
 
-static btf_status inflate_bytes(const image_bytes *packed, uint64_t packed_size, uint64_t wanted, bool whole,
-                                unsigned char *dst, picture_fault *fault) {
-  z_stream z = {
-      .next_in = packed->packed, .avail_in = (uInt)packed_size, .next_out = dst, .avail_out = (uInt)wanted};
+/* Memory of zlib. */
+static voidpf take_room(voidpf user, uInt count, uInt size) {
+  const images_file *file = user;
+  return (file->host->alloc)(file->ctx, count, size);
+}
+static void drop_room(voidpf user, voidpf room) {
+  const images_file *file = user;
+  (file->host->free)(file->ctx, room);
+}
+
+static btf_status inflate_bytes(const images_file *file, const image_bytes *packed, uint64_t packed_size,
+                                uint64_t wanted, bool whole, unsigned char *dst, picture_fault *fault) {
+  z_stream z = {.next_in = packed->packed,
+                .avail_in = (uInt)packed_size,
+                .next_out = dst,
+                .avail_out = (uInt)wanted,
+                .zalloc = take_room,
+                .zfree = drop_room,
+                .opaque = (voidpf)(uintptr_t)file};
   if (inflateInit2(&z, -MAX_WBITS) != Z_OK)
     return picture_fail(fault, BTF_E_NOMEM, "not enough memory to unpack");
   const int got = inflate(&z, whole ? Z_FINISH : Z_SYNC_FLUSH);
   const bool right = whole ? got == Z_STREAM_END && z.avail_out == 0 && z.avail_in == 0
                            : z.avail_out == 0 && (got == Z_OK || got == Z_STREAM_END || got == Z_BUF_ERROR);
   inflateEnd(&z);
+  if (got == Z_MEM_ERROR) return picture_fail(fault, BTF_E_NOMEM, "not enough memory to unpack");
   return right ? BTF_OK
                : picture_fail(fault, BTF_E_CORRUPT, "does not unpack to the %llu bytes the archive says",
                               (unsigned long long)wanted);
@@ -61,7 +77,7 @@ static btf_status fetch_member(const images_file *file, const image_entry *entry
   bytes->size = wanted;
   unsigned char *raw = entry->deflated ? bytes->packed : bytes->data;
   BTF_TRY(read_at(file->descriptor, raw, packed, entry->offset, fault));
-  if (entry->deflated) BTF_TRY(inflate_bytes(bytes, packed, wanted, whole, bytes->data, fault));
+  if (entry->deflated) BTF_TRY(inflate_bytes(file, bytes, packed, wanted, whole, bytes->data, fault));
   if (whole && crc32(0, bytes->data, (uInt)wanted) != entry->crc)
     return picture_fail(fault, BTF_E_CORRUPT, "does not match its checksum in the archive");
   return BTF_OK;

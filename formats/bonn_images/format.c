@@ -7,6 +7,8 @@
 
 #include <btf/btf_half.h>
 
+#include "source/srgb.h"
+
 #include "bonn_images/bonn_images.h"
 
 enum { TRANSFER_AUTO, TRANSFER_POWER, TRANSFER_SRGB, TRANSFER_LINEAR };
@@ -104,7 +106,7 @@ static btf_status check_missing(images_file *file, const btf_options *options) {
 
 static double linear_of(int curve, double exponent, double code) {
   if (curve == TRANSFER_POWER) return pow(code, exponent);
-  if (curve == TRANSFER_SRGB) return code <= 0.04045 ? code / 12.92 : pow((code + 0.055) / 1.055, 2.4);
+  if (curve == TRANSFER_SRGB) return srgb_linear(code);
   return code;
 }
 
@@ -168,21 +170,12 @@ static btf_status check(images_file *file, const btf_options *options, char word
   return check_missing(file, options);
 }
 
-/* The last part of a path. */
-static void name_of(const char *path, char name[256]) {
-  size_t end = strlen(path);
-  while (end > 1 && path[end - 1] == '/') end--;
-  size_t begin = end;
-  while (begin > 0 && path[begin - 1] != '/') begin--;
-  snprintf(name, 256, "%.*s", (int)(end - begin < 255 ? end - begin : 255), path + begin);
-}
-
 static btf_status make(images_file *file, const char *curve, btf_dataset **out) {
   const btf_host *host = file->host;
   btf_context *ctx = file->ctx;
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
   btf_dirset *directions = NULL;
-  char filled[16], damaged[16], name[256];
+  char filled[16], damaged[16], name[SOURCE_NAME_BYTES];
   const char *notes[18] = {
       "reader", "bonn-images", "images_kind", picture_kind_name(file->info.kind), "images_transfer", curve};
   uint32_t used = 6;
@@ -209,7 +202,7 @@ static btf_status make(images_file *file, const char *curve, btf_dataset **out) 
     images_close(file);
     return status;
   }
-  name_of(file->path, name);
+  source_name(file->path, name);
   desc.lights = desc.views = directions;
   desc.width = file->info.width;
   desc.height = file->info.height;

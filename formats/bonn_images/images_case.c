@@ -175,6 +175,10 @@ void case_name(case_names names, const char *extension, uint32_t view, uint32_t 
   case CASE_UTIA:
     snprintf(out, 128, "tv%03u_pv%03u/tl%03u_pl%03u_tv%03u_pv%03u.%s", tv, pv, tl, pl, tv, pv, extension);
     return;
+  case CASE_BACKSLASHES:
+    snprintf(out, 128, "images\\tv%03u_pv%03u\\tl%03u_pl%03u_tv%03u_pv%03u.%s", tv, pv, tl, pl, tv, pv,
+             extension);
+    return;
   case CASE_SPECTRAL:
     snprintf(out, 128, "TV%03u.0_PV%03u.0_TL%03u.0_PL%03u.0.%s", tv, pv, tl, pl, extension);
     return;

@@ -41,7 +41,14 @@ typedef struct picture_case {
 void case_picture(const picture_case *c, uint32_t view, uint32_t light, case_bytes *out);
 
 /* How a name is made of a pair. */
-typedef enum case_names { CASE_UBO, CASE_WOOL, CASE_UTIA, CASE_SPECTRAL, CASE_HOME } case_names;
+typedef enum case_names {
+  CASE_UBO,
+  CASE_WOOL,
+  CASE_UTIA,
+  CASE_SPECTRAL,
+  CASE_HOME,
+  CASE_BACKSLASHES
+} case_names;
 void case_name(case_names names, const char *extension, uint32_t view, uint32_t light, char out[128]);
 
 /* A member of an archive; what is not 0 stands in place of the truth. */

@@ -139,6 +139,7 @@ static void refuse_archive(const char *label, const case_bytes *bytes, btf_statu
   const btf_status got = format_try(ctx, path, "bonn-images", NULL, &ds);
   assert_null(ds);
   check_refusal(label, got, status, part, began);
+  format_keep_refused(path, status, false);
   test_context_done(ctx, &memory);
 }
 
@@ -334,6 +335,7 @@ static void refuse_picture(const char *label, const zip_writer *others, zip_memb
     check_refusal(label, opened, status, part, began);
     assert_message_has(name);
     assert_true(middle.size <= 4096 && !found_late);
+    format_keep_refused(path, status, false);
     fill_picture(ctx, label, path, status);
     test_context_done(ctx, &memory);
     return;
@@ -346,6 +348,7 @@ static void refuse_picture(const char *label, const zip_writer *others, zip_memb
     assert_message_has(name);
   }
   btf_dataset_release(ds);
+  format_keep_refused(path, status, true);
   fill_picture(ctx, label, path, status);
   test_context_done(ctx, &memory);
 }

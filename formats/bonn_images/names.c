@@ -77,7 +77,8 @@ static bool counter_differs(const char *base, uint32_t light, uint32_t view) {
 
 image_name images_parse_name(const char *path, uint32_t *pair, bool *differs, picture_fault *fault) {
   static const char *const keys[] = {"tl", "pl", "tv", "pv"};
-  const char *slash = strrchr(path, '/'), *base = slash != NULL ? slash + 1 : path;
+  const char *base = path; /* some archives have backslashes between folders */
+  for (const char *p = path; (p = strpbrk(p, "/\\")) != NULL;) base = ++p;
   double angle[4];
   int found[4], known = 0;
   if (!has_picture_extension(base)) return IMAGE_NAME_OTHER;

@@ -16,7 +16,9 @@ static btf_status fail_read(const images_file *file, uint32_t pair, const pictur
 btf_status images_decode(const images_file *file, const image_entry *entry, image_bytes *bytes, void *samples,
                          picture_fault *fault) {
   BTF_TRY(images_fetch(file, entry, UINT64_MAX, bytes, fault));
-  return picture_decode(bytes->data, bytes->size, &file->info, &file->rules, samples, fault);
+  const source_file picture = {
+      .host = file->host, .ctx = file->ctx, .data = bytes->data, .size = bytes->size};
+  return picture_decode(&picture, &file->info, &file->rules, samples, fault);
 }
 
 static btf_status decode_entry(const images_file *file, uint32_t pair, image_bytes *bytes, void *samples) {

@@ -110,7 +110,7 @@ static btf_status open_file(const btf_host *host, btf_context *ctx, const char *
   }
   map->weigh = weigh;
   map->texel = texel;
-  return one_view_create(map, options, one_view_name(path), "rti-hsh", NULL, out);
+  return one_view_create(map, options, path, "rti-hsh", NULL, out);
 }
 
 const btf_format_vtbl btf_format_rti_hsh = {.struct_size = sizeof(btf_format_vtbl),

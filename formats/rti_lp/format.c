@@ -10,6 +10,7 @@
 #include <btf/btf_half.h>
 
 #include "source/one_view.h"
+#include "source/srgb.h"
 
 #include "rti_lp/lp.h"
 
@@ -90,7 +91,7 @@ static btf_status decode(lp_file *lp, uint32_t index) {
   btf_status status = source_file_open_beside(list, name_of(lp, index), &file);
   if (status != BTF_OK)
     return (list->host->source_error)(status, "%s: %s could not be read", list->path, name_of(lp, index));
-  status = picture_decode(file.data, file.size, &lp->info, &lp->rules, lp->pixels, &fault);
+  status = picture_decode(&file, &lp->info, &lp->rules, lp->pixels, &fault);
   source_file_close(&file);
   if (status != BTF_OK)
     return (list->host->source_error)(status, "%s: %s: %s", list->path, name_of(lp, index), fault.why);
@@ -166,7 +167,7 @@ static btf_status make_samples(lp_file *lp, const btf_options *options, bool *sr
   if (lp->table == NULL) return BTF_E_NOMEM;
   for (uint32_t i = 0; i < codes; i++) {
     const double value = i / (codes - 1.0);
-    lp->table[i] = btf_float_to_half((float)(*srgb ? one_view_linear(value) : value));
+    lp->table[i] = btf_float_to_half((float)(*srgb ? srgb_linear(value) : value));
   }
   lp->rules.table = lp->table;
   return BTF_OK;
@@ -218,6 +219,8 @@ static btf_status open_file(const btf_host *host, btf_context *ctx, const char *
       "reader", "rti-lp", "transfer", srgb ? "srgb" : "linear", "rti_kind", picture_kind_name(lp->info.kind),
       NULL};
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+  char name[SOURCE_NAME_BYTES];
+  source_name(path, name);
   desc.lights = lp->lights;
   desc.views = lp->views;
   desc.width = lp->info.width;
@@ -227,7 +230,7 @@ static btf_status open_file(const btf_host *host, btf_context *ctx, const char *
   desc.sample_type = BTF_SAMPLE_F16;
   desc.quantity = BTF_QUANTITY_BRDF_COS;
   desc.flags = BTF_DATASET_IMAGE_MAJOR;
-  desc.name = one_view_name(path);
+  desc.name = name;
   desc.read = read_block;
   desc.user = lp;
   desc.release = release;

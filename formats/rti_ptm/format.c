@@ -43,8 +43,10 @@ static btf_status parse(ptm_file *ptm) {
   if (!ptm->separate && strcmp(kind, "PTM_FORMAT_LRGB") != 0)
     return cursor_left(&c) == 0
                ? fail_header(file, &c, "kind")
-               : (file->host->fail)(file->ctx, BTF_E_UNSUPPORTED,
-                                    "%s: is a PTM of another kind than RGB and LRGB", file->path);
+               : (file->host->fail)(
+                     file->ctx, BTF_E_UNSUPPORTED,
+                     "%s: is a PTM of the kind %.40s; PTM_FORMAT_RGB and PTM_FORMAT_LRGB are read",
+                     file->path, kind);
   ptm->together = !ptm->separate && version[6] < '2';
   if (!cursor_count(&c, ONE_VIEW_MOST_SIDE, &ptm->map.width)) return fail_header(file, &c, "width");
   if (!cursor_count(&c, ONE_VIEW_MOST_SIDE, &ptm->map.height)) return fail_header(file, &c, "height");
@@ -101,7 +103,7 @@ static btf_status open_file(const btf_host *host, btf_context *ctx, const char *
   }
   map->weigh = weigh;
   map->texel = texel;
-  return one_view_create(map, options, one_view_name(path), "rti-ptm", ptm->separate ? "RGB" : "LRGB", out);
+  return one_view_create(map, options, path, "rti-ptm", ptm->separate ? "RGB" : "LRGB", out);
 }
 
 const btf_format_vtbl btf_format_rti_ptm = {.struct_size = sizeof(btf_format_vtbl),

@@ -201,7 +201,7 @@ static btf_status open_file(const btf_host *host, btf_context *ctx, const char *
   const bool formula = r->type == RELIGHT_PTM || r->type == RELIGHT_HSH;
   map->weigh = formula ? weigh_formula : r->type == RELIGHT_RBF ? weigh_rbf : weigh_bilinear;
   map->texel = formula ? texel_formula : texel_basis;
-  return one_view_create(map, options, one_view_name(path), "rti-relight", kinds[r->type][r->colour], out);
+  return one_view_create(map, options, path, "rti-relight", kinds[r->type][r->colour], out);
 }
 
 const btf_format_vtbl btf_format_rti_relight = {

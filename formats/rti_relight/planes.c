@@ -30,8 +30,7 @@ static btf_status read_plane(const relight_file *r, uint32_t index, unsigned cha
   snprintf(name, sizeof name, "plane_%u.jpg", index);
   BTF_TRY(source_file_open_beside(&r->map.file, name, &file));
   btf_status status = look(r, &file, &info, &fault);
-  if (status == BTF_OK && codes != NULL)
-    status = picture_decode(file.data, file.size, &info, &rules, codes, &fault);
+  if (status == BTF_OK && codes != NULL) status = picture_decode(&file, &info, &rules, codes, &fault);
   source_file_close(&file);
   if (status == BTF_OK) return BTF_OK;
   return (r->map.file.host->fail)(r->map.file.ctx, status, "%s: %s: %s", r->map.file.path, name, fault.why);

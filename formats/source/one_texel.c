@@ -60,7 +60,7 @@ btf_status one_texel_create(one_texel *brdf, const btf_options *options, const b
                             btf_dataset **out) {
   const btf_host *host = brdf->file.host;
   btf_context *ctx = brdf->file.ctx;
-  const char *slash = strrchr(brdf->file.path, '/');
+  char name[SOURCE_NAME_BYTES];
   btf_dataset_desc desc = *about;
   const btf_status status =
       (host->dirset_create_named)(ctx, (host->option_text)(options, "directions"), &brdf->directions);
@@ -72,7 +72,10 @@ btf_status one_texel_create(one_texel *brdf, const btf_options *options, const b
   desc.width = desc.height = 1;
   desc.channels = brdf->channels;
   desc.flags = BTF_DATASET_CONCURRENT_READ;
-  if (desc.name == NULL) desc.name = slash != NULL ? slash + 1 : brdf->file.path;
+  if (desc.name == NULL) {
+    source_name(brdf->file.path, name);
+    desc.name = name;
+  }
   desc.read = read_block;
   desc.user = brdf;
   desc.release = release;

@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: MIT */
 #include "source/one_view.h"
 
+#include "source/srgb.h"
+
 btf_status one_view_open(const btf_host *host, btf_context *ctx, const char *path, size_t size,
                          one_view **out) {
   one_view *map = (host->alloc)(ctx, 1, size);
@@ -28,11 +30,6 @@ static void release(void *user) {
   one_view_close(user);
 }
 
-double one_view_linear(double value) {
-  const double size = fabs(value);
-  return copysign(size <= 0.04045 ? size / 12.92 : pow((size + 0.055) / 1.055, 2.4), value);
-}
-
 static btf_status read_block(void *user, const btf_block *block, void *dst, const btf_strides *strides) {
   const one_view *map = user;
   const float *all = (map->file.host->dirset_directions)(map->lights);
@@ -46,7 +43,7 @@ static btf_status read_block(void *user, const btf_block *block, void *dst, cons
         double values[3];
         map->texel(map, block->x0 + column, block->y0 + row, weights, values);
         for (uint32_t c = 0; c < 3; c++) {
-          const float value = (float)(map->srgb ? one_view_linear(values[c]) : values[c]);
+          const float value = (float)(map->srgb ? srgb_linear(values[c]) : values[c]);
           memcpy((char *)dst + (ptrdiff_t)l * strides->light + (ptrdiff_t)row * strides->y +
                      (ptrdiff_t)column * strides->x + (ptrdiff_t)c * strides->channel,
                  &value, sizeof value);
@@ -56,12 +53,7 @@ static btf_status read_block(void *user, const btf_block *block, void *dst, cons
   return BTF_OK;
 }
 
-const char *one_view_name(const char *path) {
-  const char *slash = strrchr(path, '/');
-  return slash != NULL && slash[1] != '\0' ? slash + 1 : path;
-}
-
-btf_status one_view_create(one_view *map, const btf_options *options, const char *name, const char *reader,
+btf_status one_view_create(one_view *map, const btf_options *options, const char *path, const char *reader,
                            const char *kind, btf_dataset **out) {
   static const float above[3] = {0, 0, 1};
   const btf_host *host = map->file.host;
@@ -71,6 +63,7 @@ btf_status one_view_create(one_view *map, const btf_options *options, const char
       "reader", reader, "transfer", map->srgb ? "srgb" : "linear", kind != NULL ? "rti_kind" : NULL,
       kind,     NULL};
   btf_dataset_desc desc = BTF_DATASET_DESC_INIT;
+  char name[SOURCE_NAME_BYTES];
   btf_status status =
       (host->dirset_create_named)(ctx, (host->option_text)(options, "directions"), &map->lights);
   if (status == BTF_OK) status = (host->dirset_create)(ctx, above, 1, &map->views);
@@ -78,6 +71,7 @@ btf_status one_view_create(one_view *map, const btf_options *options, const char
     one_view_close(map);
     return status;
   }
+  source_name(path, name);
   desc.lights = map->lights;
   desc.views = map->views;
   desc.width = map->width;

@@ -37,15 +37,9 @@ typedef struct one_view {
 btf_status one_view_open(const btf_host *host, btf_context *ctx, const char *path, size_t size,
                          one_view **out);
 void one_view_close(one_view *map);
-/* Makes the data set, which owns the state from here on, also when this fails. `kind` is text for the note
- * rti_kind, or NULL. */
-btf_status one_view_create(one_view *map, const btf_options *options, const char *name, const char *reader,
+/* Makes the data set, which owns the state from here on, also when this fails. It is named after `path`,
+ * which was opened. `kind` is text for the note rti_kind, or NULL. */
+btf_status one_view_create(one_view *map, const btf_options *options, const char *path, const char *reader,
                            const char *kind, btf_dataset **out);
-
-/* Linear light from a value coded with sRGB's curve. Beyond 1 the curve goes on, below 0 it is turned about
- * 0. */
-double one_view_linear(double value);
-/* The last part of a path, as the data set's name. */
-const char *one_view_name(const char *path);
 
 #endif

@@ -99,6 +99,25 @@ btf_status picture_look(const unsigned char *data, size_t size, picture_info *in
   return BTF_OK;
 }
 
+/* Four samples are stored at once: a store for each takes as long as decoding the JPEG. */
+static void look_up_halves(const unsigned char *codes, size_t count, const uint16_t *table, uint16_t *dst) {
+  size_t i = 0;
+  for (; i + 4 <= count; i += 4) {
+    const uint16_t four[4] = {table[codes[i]], table[codes[i + 1]], table[codes[i + 2]], table[codes[i + 3]]};
+    memcpy(dst + i, four, sizeof four);
+  }
+  for (; i < count; i++) dst[i] = table[codes[i]];
+}
+
+static void look_up_floats(const unsigned char *codes, size_t count, const float *table, float *dst) {
+  size_t i = 0;
+  for (; i + 4 <= count; i += 4) {
+    const float four[4] = {table[codes[i]], table[codes[i + 1]], table[codes[i + 2]], table[codes[i + 3]]};
+    memcpy(dst + i, four, sizeof four);
+  }
+  for (; i < count; i++) dst[i] = table[codes[i]];
+}
+
 void picture_store_row(const picture_info *info, const picture_rules *rules, uint32_t row, const void *codes,
                        void *samples) {
   const size_t count = (size_t)info->width * info->channels;
@@ -111,33 +130,33 @@ void picture_store_row(const picture_info *info, const picture_rules *rules, uin
     const uint16_t *table = rules->table;
     uint16_t *dst = (uint16_t *)samples + at;
     if (info->depth == 8)
-      for (size_t i = 0; i < count; i++) dst[i] = table[code8[i]];
+      look_up_halves(code8, count, table, dst);
     else
       for (size_t i = 0; i < count; i++) dst[i] = table[code16[i]];
   } else {
     const float *table = rules->table;
     float *dst = (float *)samples + at;
     if (info->depth == 8)
-      for (size_t i = 0; i < count; i++) dst[i] = table[code8[i]];
+      look_up_floats(code8, count, table, dst);
     else
       for (size_t i = 0; i < count; i++) dst[i] = table[code16[i]];
   }
 }
 
-btf_status picture_decode(const unsigned char *data, size_t size, const picture_info *info,
-                          const picture_rules *rules, void *samples, picture_fault *fault) {
+btf_status picture_decode(const source_file *file, const picture_info *info, const picture_rules *rules,
+                          void *samples, picture_fault *fault) {
   picture_info found;
   bool complete;
-  const btf_status status = picture_look(data, size, &found, &complete, fault);
+  const btf_status status = picture_look(file->data, file->size, &found, &complete, fault);
   if (status != BTF_OK) return status;
   if (!complete || !picture_alike(&found, info))
     return picture_fail(fault, BTF_E_CORRUPT, "changed since the archive was opened");
   switch (info->kind) {
   case PICTURE_JPEG:
-    return picture_decode_jpeg(data, size, info, rules, samples, fault);
+    return picture_decode_jpeg(file, info, rules, samples, fault);
   case PICTURE_PNG:
-    return picture_decode_png(data, size, info, rules, samples, fault);
+    return picture_decode_png(file, info, rules, samples, fault);
   default:
-    return picture_decode_hdr(data, size, info, rules, samples, fault);
+    return picture_decode_hdr(file, info, rules, samples, fault);
   }
 }

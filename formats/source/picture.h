@@ -3,9 +3,7 @@
 #ifndef BTF_FORMATS_PICTURE_H
 #define BTF_FORMATS_PICTURE_H
 
-#include <btf/btf_plugin.h>
-#include <stdbool.h>
-#include <stddef.h>
+#include "source/source_file.h"
 
 enum { PICTURE_MOST_SIDE = 8192 };
 
@@ -43,17 +41,18 @@ static inline bool picture_alike(const picture_info *a, const picture_info *b) {
 }
 const char *picture_kind_name(picture_kind kind);
 
-/* Decodes a picture that must be as `info` says; row 0 of `samples` is the bottom one. */
-btf_status picture_decode(const unsigned char *data, size_t size, const picture_info *info,
-                          const picture_rules *rules, void *samples, picture_fault *fault);
+/* Decodes a picture that must be as `info` says; row 0 of `samples` is the bottom one. Of `file`, host, ctx,
+ * data and size count. All memory is the host's. */
+btf_status picture_decode(const source_file *file, const picture_info *info, const picture_rules *rules,
+                          void *samples, picture_fault *fault);
 
 /* The parts of the above for each kind. */
-btf_status picture_decode_jpeg(const unsigned char *data, size_t size, const picture_info *info,
-                               const picture_rules *rules, void *samples, picture_fault *fault);
-btf_status picture_decode_png(const unsigned char *data, size_t size, const picture_info *info,
-                              const picture_rules *rules, void *samples, picture_fault *fault);
-btf_status picture_decode_hdr(const unsigned char *data, size_t size, const picture_info *info,
-                              const picture_rules *rules, void *samples, picture_fault *fault);
+btf_status picture_decode_jpeg(const source_file *file, const picture_info *info, const picture_rules *rules,
+                               void *samples, picture_fault *fault);
+btf_status picture_decode_png(const source_file *file, const picture_info *info, const picture_rules *rules,
+                              void *samples, picture_fault *fault);
+btf_status picture_decode_hdr(const source_file *file, const picture_info *info, const picture_rules *rules,
+                              void *samples, picture_fault *fault);
 btf_status picture_look_hdr(const unsigned char *data, size_t size, picture_info *info, bool *complete,
                             picture_fault *fault);
 /* Looks up a row of codes of 8 bits (16 bits, in the machine's order), counted from the top of the picture.

@@ -155,10 +155,10 @@ static bool store(const picture_rules *rules, size_t at, double value, void *sam
   return true;
 }
 
-btf_status picture_decode_hdr(const unsigned char *data, size_t size, const picture_info *info,
-                              const picture_rules *rules, void *samples, picture_fault *fault) {
+btf_status picture_decode_hdr(const source_file *file, const picture_info *info, const picture_rules *rules,
+                              void *samples, picture_fault *fault) {
   unsigned char line[4 * PICTURE_MOST_SIDE];
-  hdr_input in = {data, size, 0};
+  hdr_input in = {file->data, file->size, 0};
   picture_info found;
   double exposure;
   bool complete;

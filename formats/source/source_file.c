@@ -3,6 +3,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <stdio.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -64,6 +65,15 @@ void source_file_close(source_file *file) {
   if (file->path != NULL) (file->host->free)(file->ctx, file->path);
   file->data = NULL;
   file->path = NULL;
+}
+
+void source_name(const char *path, char name[SOURCE_NAME_BYTES]) {
+  size_t end = strlen(path);
+  while (end > 1 && path[end - 1] == '/') end--;
+  size_t begin = end;
+  while (begin > 0 && path[begin - 1] != '/') begin--;
+  const size_t length = end - begin < SOURCE_NAME_BYTES ? end - begin : SOURCE_NAME_BYTES - 1;
+  snprintf(name, SOURCE_NAME_BYTES, "%.*s", (int)length, path + begin);
 }
 
 uint64_t cursor_left(const cursor *c) {

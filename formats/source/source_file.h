@@ -22,6 +22,10 @@ btf_status source_file_open(const btf_host *host, btf_context *ctx, const char *
 btf_status source_file_open_beside(const source_file *file, const char *name, source_file *out);
 void source_file_close(source_file *file);
 
+enum { SOURCE_NAME_BYTES = 256 };
+/* The last part of a path to a file or folder, as the data set's name. */
+void source_name(const char *path, char name[SOURCE_NAME_BYTES]);
+
 /* Reads one field after the other. Beyond the end it gives zeros and NULL and stays there, so that a
  * structure is read whole and asked once whether it was all there. */
 typedef struct cursor {

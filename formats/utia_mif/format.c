@@ -91,7 +91,8 @@ static btf_status open_file(const btf_host *host, btf_context *ctx, const char *
     release(mif);
     return status;
   }
-  const char *slash = strrchr(mif->file.path, '/');
+  char name[SOURCE_NAME_BYTES];
+  source_name(path, name);
   desc.lights = mif->lights;
   desc.views = mif->views;
   desc.width = mif->width;
@@ -99,7 +100,7 @@ static btf_status open_file(const btf_host *host, btf_context *ctx, const char *
   desc.channels = mif->channels;
   desc.quantity = (int)(host->option)(options, "cosine") == 0 ? BTF_QUANTITY_BRDF_COS : BTF_QUANTITY_BRDF;
   desc.flags = BTF_DATASET_CONCURRENT_READ | BTF_DATASET_IMAGE_MAJOR;
-  desc.name = slash != NULL ? slash + 1 : mif->file.path;
+  desc.name = name;
   desc.read = read_block;
   desc.user = mif;
   desc.release = release;

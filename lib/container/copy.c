@@ -85,6 +85,21 @@ static btf_status copy_sets(const copying *c) {
   return BTF_OK;
 }
 
+/* Notes go with their models. What the caller set himself stays. */
+static btf_status copy_metadata(const copying *c) {
+  const btfi_metadata *m = &c->file->metadata;
+  for (uint32_t i = 0; i < m->count; i++) {
+    const char *rest;
+    char key[256];
+    const uint32_t of = btfi_note_model_of(m->keys[i], &rest);
+    const bool is_note = c->file->model_count > 0 && (of != 0 || strncmp(rest, "btf.", 4) != 0);
+    if (!btfi_note_key_put(is_note ? c->first_model + of : 0, is_note ? rest : m->keys[i], key)) continue;
+    if (btfi_metadata_find(&c->w->metadata, key) == NULL)
+      BTFI_TRY(btfi_metadata_set(&c->w->metadata, key, m->values[i]));
+  }
+  return BTF_OK;
+}
+
 static btf_status copy_all(const copying *c) {
   const btf_file *f = c->file;
   bool renumbered = c->first_model != 0;
@@ -98,9 +113,7 @@ static btf_status copy_all(const copying *c) {
     else
       BTFI_TRY(copy_stored(c, e));
   }
-  for (uint32_t i = 0; i < f->metadata.count; i++) /* what the caller set himself stays */
-    if (btfi_metadata_find(&c->w->metadata, f->metadata.keys[i]) == NULL)
-      BTFI_TRY(btfi_metadata_set(&c->w->metadata, f->metadata.keys[i], f->metadata.values[i]));
+  BTFI_TRY(copy_metadata(c));
   c->w->optional_features |= f->header.optional;
   c->w->model_count += f->model_count;
   return BTF_OK;

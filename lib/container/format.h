@@ -123,5 +123,10 @@ btf_status btfi_metadata_set(btfi_metadata *m, const char *key, const char *valu
 btf_status btfi_metadata_decode(btfi_metadata *m, const char *name, const void *data, uint64_t size);
 void btfi_metadata_encode(const btfi_metadata *m, btfi_buffer *out);
 void btfi_metadata_free(btfi_metadata *m);
+/* Notes of model 0 have keys of their own; those of a later model have its number in front. put fails where
+ * that is too long for a key; model_of gives 0 for keys that are none of a later model's, else the number,
+ * and where the note's key begins. */
+bool btfi_note_key_put(uint32_t model, const char *key, char out[256]);
+uint32_t btfi_note_model_of(const char *key, const char **rest);
 
 #endif

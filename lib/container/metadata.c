@@ -2,6 +2,7 @@
 /* Key and value texts of a container. */
 #include "container/format.h"
 
+#include <stdio.h>
 #include <string.h>
 
 static int64_t position_of(const btfi_metadata *m, const char *key) {
@@ -138,4 +139,24 @@ void btfi_metadata_free(btfi_metadata *m) {
   btfi_free(m->ctx, m->values);
   m->keys = m->values = NULL;
   m->count = m->capacity = 0;
+}
+
+static const char note_prefix[] = "btf.note.";
+
+bool btfi_note_key_put(uint32_t model, const char *key, char out[256]) {
+  const int length =
+      model == 0 ? snprintf(out, 256, "%s", key) : snprintf(out, 256, "%s%u.%s", note_prefix, model, key);
+  return length > 0 && length < 256;
+}
+
+uint32_t btfi_note_model_of(const char *key, const char **rest) {
+  uint64_t model = 0;
+  *rest = key;
+  if (strncmp(key, note_prefix, sizeof note_prefix - 1) != 0) return 0;
+  const char *p = key + sizeof note_prefix - 1;
+  if (*p == '0') return 0;
+  for (; *p >= '0' && *p <= '9' && model <= UINT32_MAX; p++) model = 10 * model + (uint64_t)(*p - '0');
+  if (model == 0 || model > UINT32_MAX || *p != '.' || p[1] == '\0') return 0;
+  *rest = p + 1;
+  return (uint32_t)model;
 }

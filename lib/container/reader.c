@@ -108,14 +108,16 @@ static btf_status hand_out_payload(btf_file *f) {
   return BTF_OK;
 }
 
-/* The file's texts but for the library's own, as many as a data set may have. */
-static btf_status take_notes(const btf_file *f, btfi_model_header *h) {
+/* The texts of a model, as many as a data set may have: of the first all but the library's own. */
+static btf_status take_notes(const btf_file *f, uint32_t model, btfi_model_header *h) {
   enum { MOST = 256 };
   const char *notes[2 * MOST + 1];
   uint32_t count = 0;
   for (uint32_t i = 0; i < f->metadata.count && count < 2 * MOST; i++) {
-    if (strncmp(f->metadata.keys[i], "btf.", 4) == 0) continue;
-    notes[count++] = f->metadata.keys[i];
+    const char *key;
+    const uint32_t of = btfi_note_model_of(f->metadata.keys[i], &key);
+    if (of != model || (of == 0 && strncmp(key, "btf.", 4) == 0)) continue;
+    notes[count++] = key;
     notes[count++] = f->metadata.values[i];
   }
   notes[count] = NULL;
@@ -134,7 +136,7 @@ static btf_status read_model(btf_file *f, const btfi_entry *e, btfi_payload *p) 
   BTFI_TRY(read_small(f, e, BTFI_MODEL_CHUNK_LIMIT, &data));
   status = btfi_model_header_decode(f->ctx, where, data, e->raw, f->sets, f->set_count, &p->header, &links);
   btfi_free(f->ctx, data);
-  if (status == BTF_OK) status = take_notes(f, &p->header);
+  if (status == BTF_OK) status = take_notes(f, e->model, &p->header);
   BTFI_TRY(status);
   if (count != links.payload_chunks)
     return btfi_fail(f->ctx, BTF_E_CORRUPT, "%s: %u payload chunks, the header of the model says %u", where,

@@ -135,11 +135,13 @@ static btf_status write_chunks(btf_writer *w, btfi_payload *p, const btf_job *jo
   return status;
 }
 
-/* What the caller set himself, or an earlier model brought, stays. */
+/* What the caller set himself stays. */
 static btf_status write_notes(btf_writer *w, const btfi_model_header *h) {
+  char key[256];
   for (uint32_t i = 0; h->notes != NULL && h->notes[i] != NULL; i += 2)
-    if (strncmp(h->notes[i], "btf.", 4) != 0 && btfi_metadata_find(&w->metadata, h->notes[i]) == NULL)
-      BTFI_TRY(btfi_metadata_set(&w->metadata, h->notes[i], h->notes[i + 1]));
+    if (strncmp(h->notes[i], "btf.", 4) != 0 && btfi_note_key_put(w->model_count, h->notes[i], key) &&
+        btfi_metadata_find(&w->metadata, key) == NULL)
+      BTFI_TRY(btfi_metadata_set(&w->metadata, key, h->notes[i + 1]));
   return BTF_OK;
 }
 

@@ -11,10 +11,8 @@
 #include <string.h>
 
 enum {
-  most_piece_bytes = 16 << 20,
-  most_file_piece_bytes = 1 << 20,
-  least_piece_bytes = 1 << 16, /* below this, calling the source costs more than the memory is worth */
-  budget_over_piece = 32,
+  least_scratch_bytes = 1 << 16, /* below this, calling the source costs more than the memory is worth */
+  budget_over_scratch = 32,
   block_axes = 4
 };
 
@@ -80,8 +78,8 @@ btf_status btfi_dataset_within(const btf_dataset *ds, uint64_t bytes, btf_datase
   reader->label = ds->label;
   reader->light_weights = ds->light_weights;
   reader->mapping = ds->mapping;
-  const uint64_t most = ds->mapping.size > 0 ? most_file_piece_bytes : most_piece_bytes;
-  reader->piece_bytes = BTFI_MIN(BTFI_MAX(bytes / budget_over_piece, (uint64_t)least_piece_bytes), most);
+  const uint64_t share = BTFI_MAX(bytes / budget_over_scratch, (uint64_t)least_scratch_bytes);
+  reader->scratch_bytes = BTFI_MIN(share, BTFI_SOURCE_SCRATCH_BYTES);
   reader->reads_file = ds->mapping.size > bytes;
   btfi_mapping_let_go(&ds->mapping);
   *out = reader;

@@ -332,6 +332,10 @@ btf_status btf_dataset_describe(const btf_dataset *ds, btf_dataset_desc *io) {
 btf_status btf_dataset_factors(const btf_dataset *ds, btf_factors *io) {
   btf_factors factors = BTF_FACTORS_INIT;
   if (!ds) return btfi_fail(NULL, BTF_E_INVALID_ARG, "btf_dataset_factors: the data set must not be NULL");
+  if (ds->desc.view_lights)
+    return btfi_fail(ds->ctx, BTF_E_UNSUPPORTED,
+                     "%s: its views have lights of their own, and no factors are of the samples between them",
+                     ds->label);
   if (!ds->desc.factors)
     return btfi_fail(ds->ctx, BTF_E_UNSUPPORTED, "%s: holds samples and no factors", ds->label);
   BTFI_TRY(ds->desc.factors(ds->desc.user, &factors));

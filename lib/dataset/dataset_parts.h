@@ -8,6 +8,9 @@
 #include "dataset/convert.h"
 #include "dataset/dataset.h"
 
+/* Most that all threads together read from a source at once. */
+#define BTFI_SOURCE_SCRATCH_BYTES ((uint64_t)16 << 20)
+
 struct btf_dataset {
   btf_dataset_desc desc; /* complete; its pointers belong to the data set */
   btfi_convert_kernels kernels;
@@ -18,8 +21,8 @@ struct btf_dataset {
   btfi_mapping mapping;
   /* Of a reader within a bound (bounded.c): the data set that owns all of the above, and its share. */
   btf_dataset *whole;
-  uint64_t piece_bytes; /* most bytes that are read from a source at once; 0 = 16 MiB */
-  bool reads_file;      /* instead of its mapping */
+  uint64_t scratch_bytes; /* in place of BTFI_SOURCE_SCRATCH_BYTES; 0 = that */
+  bool reads_file;        /* instead of its mapping */
   pthread_mutex_t one_reader;
   atomic_uint references;
 };

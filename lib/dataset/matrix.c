@@ -16,7 +16,6 @@ static btf_status measure_shape(btf_context *ctx, const btf_dataset *ds, const b
   memset(out, 0, sizeof *out);
   out->ctx = ctx;
   out->ds = ds;
-  out->reads_file = ds->reads_file;
   out->views = btf_dirset_count(desc->views);
   out->lights = btf_dirset_count(desc->lights);
   out->channels = desc->channels;
@@ -34,7 +33,7 @@ static void take_direction(btfi_matrix *m, const btf_dataset_desc *desc, bool by
   m->layout = lies_by_image(desc) && !by_image ? BTF_LAYOUT_ITEM_COLUMNS : BTF_LAYOUT_ITEM_ROWS;
   m->items = by_image ? m->rows : m->texels;
   m->length = by_image ? m->texels : m->rows;
-  m->block_items = by_image ? m->channels : desc->data == NULL ? m->width : 0;
+  m->block_items = by_image ? m->channels : lies_by_image(desc) ? m->width : 0;
 }
 
 btf_status btfi_matrix_open_by(btf_context *ctx, const btf_dataset *ds, bool by_image, btfi_matrix *out) {

@@ -14,7 +14,6 @@ typedef struct btfi_matrix {
   const btf_dataset *ds;
   uint32_t views, lights, channels, width, height;
   bool by_image;
-  bool reads_file;        /* run by run, not through a mapping */
   uint32_t layout;        /* BTF_LAYOUT_* of what is read */
   uint64_t rows, texels;  /* of the matrix */
   uint64_t items, length; /* of what is read: (rows, texels) or (texels, rows) */

@@ -6,7 +6,10 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { most_piece_bytes = 16 << 20, message_bytes = 512 };
+enum {
+  most_piece_bytes = 1 << 20, /* caches hold it from the source's writing to our reading */
+  message_bytes = 512
+};
 
 static _Thread_local bool source_said_why;
 
@@ -146,13 +149,15 @@ static btf_status read_streamed(const btf_dataset *ds, const btf_block *b, float
   const btf_dataset_desc *d = &ds->desc;
   const uint64_t cell = btfi_sample_size(d->sample_type) * d->channels;
   const bool one_view = d->view_lights != NULL;
-  const uint64_t piece_bytes = ds->piece_bytes != 0 ? ds->piece_bytes : most_piece_bytes;
+  const uint64_t scratch_bytes = ds->scratch_bytes != 0 ? ds->scratch_bytes : BTFI_SOURCE_SCRATCH_BYTES;
   stream_job job = {.ds = ds, .dst_strides = strides, .dst = (char *)dst};
   job.order = d->flags & BTF_DATASET_IMAGE_MAJOR ? BTF_ORDER_VLYXC : BTF_ORDER_YXVLC;
   uint32_t threads = d->flags & BTF_DATASET_CONCURRENT_READ ? btfi_thread_count(ds->ctx) : 1;
-  btfi_pieces_cut(&job.pieces, b, job.order, piece_bytes / cell, one_view);
+  btfi_pieces_cut(&job.pieces, b, job.order, BTFI_MIN(scratch_bytes, most_piece_bytes) / cell, one_view);
   if (job.pieces.total == 1) threads = 1;
-  if (threads > 1) btfi_pieces_cut(&job.pieces, b, job.order, piece_bytes / threads / cell, one_view);
+  if (threads > 1)
+    btfi_pieces_cut(&job.pieces, b, job.order, BTFI_MIN(scratch_bytes / threads, most_piece_bytes) / cell,
+                    one_view);
   if (job.pieces.total > UINT32_MAX)
     return btfi_fail(ds->ctx, BTF_E_LIMIT, "%s: the block is too large to be read at once", ds->label);
   job.piece_size = job.pieces.cells * cell;

@@ -17,29 +17,22 @@ typedef struct decomposition {
   double from, to;
 } decomposition;
 
-/* About the bytes that panels and so many items at a time take. */
-static double bytes_needed(const btfi_matrix *m, bool by_image, uint32_t rank, double items_at_once) {
+/* About the bytes that panels and an item at a time take. */
+static double bytes_needed(const btfi_matrix *m, bool by_image, uint32_t rank) {
   const double items = (double)(by_image ? m->rows : m->texels),
                length = (double)(by_image ? m->texels : m->rows);
   const double spare = BTFI_MAX(8.0, rank / 4.0), width = fmin(fmin(items, length), rank + spare);
-  return sizeof(float) * (length * (3 * width + 1 + fmin(items_at_once, items)) + items * spare);
+  return sizeof(float) * (length * (3 * width + 2) + items * spare);
 }
 
-/* Runs of a few texels cost a call each where a file is read, so images come first there.
- * A sample of texels tells more of B than a sample of images, and a mapping gives either. But a stream has to
- * be taken as it comes, unless that does not fit. What is held may be read either way, and sums over items
- * are in float: the fewer, the better. */
-static bool prefers_images(const btfi_matrix *as_it_lies, const btf_dataset_desc *desc, uint32_t rank,
-                           uint64_t budget) {
-  enum { FULL_BLOCK = 64 };
-  if (btfi_matrix_is_held(as_it_lies, budget)) return as_it_lies->by_image;
-  const bool stream = desc->data == NULL;
-  const bool images = (stream || as_it_lies->reads_file) && as_it_lies->by_image;
-  /* Half is for the sample: without one, readings are many. */
-  const double room = stream ? (double)budget : (double)budget / 2, block = stream ? 1 : FULL_BLOCK;
-  const double wanted = bytes_needed(as_it_lies, images, rank, block);
-  const double other = bytes_needed(as_it_lies, !images, rank, block);
-  return wanted > room && other < wanted ? !images : images;
+/* Data is taken as it lies unless that does not fit: a stream can be read no other way, and a mapping of the
+ * same samples has to give the same bytes. What is held may be read either way, and sums over items are in
+ * float: the fewer, the better. */
+static bool prefers_images(const btfi_matrix *as_it_lies, uint32_t rank, uint64_t budget) {
+  const bool images = as_it_lies->by_image;
+  if (btfi_matrix_is_held(as_it_lies, budget)) return images;
+  const double wanted = bytes_needed(as_it_lies, images, rank);
+  return wanted > (double)budget && bytes_needed(as_it_lies, !images, rank) < wanted ? !images : images;
 }
 
 static btf_status decompose_by(const decomposition *d, bool by_image, btf_svd_result *out) {
@@ -69,8 +62,7 @@ static btf_status decompose_by(const decomposition *d, bool by_image, btf_svd_re
 static btf_status decompose_either_way(const decomposition *d, btf_svd_result *out) {
   btfi_matrix shape;
   BTFI_TRY(btfi_matrix_open(d->ctx, d->ds, d->desc.max_working_set, &shape));
-  const bool by_image =
-      prefers_images(&shape, btfi_dataset_desc(d->ds), d->desc.rank, d->desc.max_working_set);
+  const bool by_image = prefers_images(&shape, d->desc.rank, d->desc.max_working_set);
   btfi_matrix_close(&shape);
   const btf_status status = decompose_by(d, by_image, out);
   const uint64_t least = out->least_working_set;

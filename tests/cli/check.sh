@@ -66,9 +66,17 @@ for p in everywhere: s[at(*p)] = min(s[at(*p)], 0.3 * most)'
   run check lambert.btfd
   expect "albedo of a Lambertian surface" 0 "0.5000 at most"
   expect "a constant has no dead texels among living ones" 0 "no problems found"
+  # With the cosine, its largest values are those of the lights nearest to the normal, for every view.
+  rm -rf sound.kept && mv sound.btfd sound.kept && cp -r lambert.btfd sound.btfd
+  spoil matte brdf_cos "$cosine"
+  expect "a matte surface is not cut off" 0 '"problems": ?]'
+  rm -rf sound.btfd && mv sound.kept sound.btfd
   run check sound.btfd --sheet audit.png
   expect "check --sheet" 0 "no problems found"
   [ "$(head -c 4 audit.png | tail -c 3)" = PNG ] && pass || fail "check --sheet writes a picture"
+  run check sound.btfd --sheet audit.jpg
+  expect "a sheet of an ending that is not written" 1 ".png or .exr"
+  [ -z "$out" ] && [ ! -e audit.jpg ] && pass || fail "no audit before a sheet that is refused"
   run check sound.btfd --sheet no/such/folder.png
   expect "a sheet that cannot be written" 2 "folder"
 fi

@@ -43,10 +43,29 @@ else
   [ ! -e x.btfz ] && pass || fail "a failed conversion left something behind"
   run convert measured.jpg nowhere/x.btfz
   expect "a place that is not there" 2 "nowhere"
-  run convert measured.jpg samples.btfd --type f32
+  run convert measured.jpg samples.btfd
   expect "convert to a folder" 0 "samples.btfd: folder"
+  grep -q '"type": *"f32"' samples.btfd/manifest.json && pass || fail "floats stay floats"
   run compare measured.jpg samples.btfd --exact
   expect "samples of a folder" 0 ""
+  for type in u8 u16 f16; do
+    run convert samples.btfd $type.btfd --type $type
+    run convert $type.btfd -o kept.btfd
+    expect "convert with -o" 0 "kept.btfd: folder"
+    grep -q "\"type\": *\"$type\"" kept.btfd/manifest.json && pass || fail "$type stays $type"
+    run compare $type.btfd kept.btfd --exact
+    expect "samples of $type as they are" 0 ""
+  done
+  # Values are (l + 1) (v + 1) (10 y + x + 1) / 256 in three channels: up to 12 * 22 / 256, of which only that of the last
+  # light, view and texel is above 1.
+  run convert measured.jpg u8.btfd --type u8
+  expect "convert to integers" 0 "u8.btfd: folder"
+  grep -q "3 of 216 values (1.39 %).*u8 does not hold" err.txt && pass || fail "how many values are clipped is told" "$err"
+  run import measured.jpg -o u16.btfd --type u16 -q
+  expect "import to integers" 0 ""
+  [ -z "$out" ] && grep -q "3 of 216 values.*u16" err.txt && pass || fail "import tells what it clips and no more" "$out$err"
+  run convert measured.jpg x.btfd -o y.btfd
+  expect "OUT twice" 1 "given twice"
   run convert kept.btfz decoded.btfd --type f32
   run compare measured.jpg decoded.btfd --exact
   expect "a container as a folder" 0 ""

@@ -108,6 +108,12 @@ check_files() {
     expect "eval cut to $length bytes" 3 "cut.btfz"
   done
 
+  # A target picks the components.
+  for target in psnr=40 rmse=0.1; do
+    run encode big.btfd -o x.btfz --codec fmf -p components=3 -p $target
+    expect "components beside $target" 1 "components has no effect beside ${target%=*}"
+  done
+  [ ! -e x.btfz ] && pass || fail "components beside a target are refused before the work"
   # A full disk: files may not grow beyond 1 KiB.
   mkdir full
   (ulimit -f 1 && "$btf" encode big.btfd -o full/x.btfz --codec fmf -p components=16 >full.out 2>full.err)
@@ -115,6 +121,13 @@ check_files() {
   cp full.out out.txt && cp full.err err.txt && out=$(cat out.txt) && err=$(cat err.txt)
   expect "full disk" 2 "x.btfz"
   [ -z "$(leftovers full)" ] && pass || fail "a full disk leaves files" "$(ls -A full)"
+  for command in import convert; do
+    (ulimit -f 1 && "$btf" $command big.btfd -o full/x.btfd >out.txt 2>err.txt)
+    status=$?
+    out=$(cat out.txt) && err=$(cat err.txt)
+    expect "full disk while copying with $command" 2 "x.btfd"
+    [ -z "$(leftovers full)" ] && pass || fail "a full disk leaves files of $command" "$(ls -A full)"
+  done
   (ulimit -f 1 && "$btf" compare big.btfd big.btfz --sheet full/sheet.png >/dev/null 2>full.err)
   [ $? = 2 ] && [ -z "$(leftovers full)" ] && pass || fail "full disk while writing a picture" "$(cat full.err; ls -A full)"
 }

@@ -11,6 +11,8 @@ else
   else
     run export export.btfz --list
     expect "export --list" 0 "(default)"
+    run export export.btfz --list -o exported
+    expect "export --list writes nothing" 1 "--list"
     run export export.btfz -o exported
     expect "export" 0 "btf_u_map"
     [ "$(ls exported | sort | tr '\n' ' ')" = "btf.glsl btf_light_facet_map.ktx2 btf_light_near_map.ktx2 btf_u_map.ktx2 btf_v_map.ktx2 manifest.json " ] &&

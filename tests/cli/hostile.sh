@@ -34,6 +34,12 @@ mkdir hostile
 [ -n "$hostile" ] && "$hostile" hostile >out.txt 2>err.txt
 case $? in
 0)
+  run info hostile/models.btfz
+  expect "notes are with their models" 0 "setup           a dome*model 0*model 1*setup           an arm"
+  [[ $out != *btf.note* ]] && pass || fail "keys of notes are shown as they were" "$out"
+  run info hostile/models.btfz --json
+  expect_json "info --json of two models"
+  expect "notes in JSON" 0 '"setup": "a dome"*"notes": {*"setup": "an arm"'
   run info hostile/terminal.btfz
   expect "info of hostile metadata" 0 "x?model 7?  codec           trusted ?31m?0;owned? left?right?  codec           mine?x"
   [ "$(grep -c '^model ' out.txt)" = 1 ] && pass || fail "metadata makes lines of its own" "$out"

@@ -2,6 +2,7 @@
 /* Writes containers that no encoder makes, for the tests of the command: all their checksums are right.
  *   nan_fine.btfz, nan_coarse.btfz   a value of the finest or the coarsest level is NaN
  *   terminal.btfz                    metadata that would write to a terminal what it likes
+ *   models.btfz                      two models with a note of each
  * Usage: hostile_files FOLDER. Status 77 if the build has no FMF codec. */
 #include "btf_test.h"
 
@@ -33,6 +34,16 @@ static void write_image(btf_context *ctx, image *im, const btf_model *model, con
   assert_ok(btf_writer_open(ctx, &io, 0, &w));
   assert_ok(btf_writer_metadata(w, key, value));
   assert_ok(btf_writer_model(w, model, NULL));
+  assert_ok(btf_writer_finish(w));
+}
+
+static void write_models(btf_context *ctx, image *im, const btf_model *model) {
+  const btf_io io = image_sink(im);
+  btf_writer *w;
+  assert_ok(btf_writer_open(ctx, &io, 0, &w));
+  assert_ok(btf_writer_metadata(w, "setup", "a dome"));
+  assert_ok(btf_writer_metadata(w, "btf.note.1.setup", "an arm"));
+  for (int i = 0; i < 2; i++) assert_ok(btf_writer_model(w, model, NULL));
   assert_ok(btf_writer_finish(w));
 }
 
@@ -91,6 +102,10 @@ int main(int argc, char **argv) {
               "0;owned\xc2\x9c",
               "left\xe2\x80\xaeright\n  codec           mine\xc2\x85x");
   write_file(argv[1], "terminal.btfz", &im);
+  image_free(&im);
+  image_init(&im);
+  write_models(ctx, &im, model);
+  write_file(argv[1], "models.btfz", &im);
   image_free(&im);
   btf_model_release(model);
   btf_context_release(ctx);

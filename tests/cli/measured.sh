@@ -35,7 +35,7 @@ END
   expect "fetch of measured data" 0 "0.00390625 0.00390625 0.00390625
 1.03125 1.03125 1.03125"
   run import measured.jpg -o imported.btfd --type f32
-  expect "import" 0
+  expect "import tells what it wrote" 0 "imported.btfd: f32, "
   run compare measured.jpg imported.btfd --json
   expect "what is imported is what was there" 0 '"rmse": 0'
   grep -q '"bonn_setup": *"dome"' imported.btfd/manifest.json && pass || fail "what the reader found is in the manifest"
@@ -108,13 +108,14 @@ def chunk(tag, data):
 def png(codes):
     return (b'\x89PNG\r\n\x1a\n' + chunk(b'IHDR', struct.pack('>IIBBBBB', 2, 1, 8, 2, 0, 0, 0)) +
             chunk(b'IDAT', zlib.compress(b'\0' + bytes(codes))) + chunk(b'IEND', b''))
-with zipfile.ZipFile('images.zip', 'w', zipfile.ZIP_DEFLATED) as whole, zipfile.ZipFile('gaps.zip', 'w') as gaps:
+with zipfile.ZipFile('images.zip', 'w', zipfile.ZIP_DEFLATED) as whole, zipfile.ZipFile('gaps.zip', 'w') as gaps, zipfile.ZipFile('cut.zip', 'w') as cut:
     for v, (tv, pv) in enumerate(directions):
         for l, (tl, pl) in enumerate(directions):
             name = 'tv%03d_pv%03d/tl%03d_pl%03d_tv%03d_pv%03d.png' % (tv, pv, tl, pl, tv, pv)
             data = png([40 + 2 * l, 30 + v, (7 * l + 3 * v) % 200, 60 + l, 200 - 2 * v, (l * v) % 251])
             whole.writestr(name, data)
             if (v, l) == (3, 5): data = data[:40]
+            cut.writestr(name, data)
             if (v, l) != (40, 0): gaps.writestr(name, data)
 END
   run info images.zip
@@ -129,6 +130,13 @@ END
   grep -q "2 of 6561 images are missing and filled in" err.txt && pass || fail "how many are filled is told" "$err"
   grep -q '"images_filled": *"2"' filled.btfd/manifest.json && grep -q '"images_damaged": *"1"' filled.btfd/manifest.json &&
     grep -q '"images_transfer": *"linear"' filled.btfd/manifest.json && pass || fail "what was filled is in the manifest"
+  for command in "import -o x.btfd" check verify; do
+    # shellcheck disable=SC2086
+    run $command cut.zip
+    expect "$command of a zip with an image cut short" 3 "cut.zip: tv015_pv120/tl015_pl240_tv015_pv120.png: PNG: the file ends too early"
+  done
+  run check cut.zip --input allow_missing=true
+  expect "check of a zip whose damaged image is filled" 0 "not finite             0"
   run import images.zip -o x.btfd --transfer gamma
   expect "a transfer that is none" 1 "transfer"
   run encode images.zip -o images.btfz --codec fmf -p components=3

@@ -11,6 +11,7 @@
 #include "number_text.h"
 #include "parallel.h"
 #include "safe_text.h"
+#include "sample_walk.h"
 
 /* ---- numbers as text ---- */
 
@@ -513,6 +514,46 @@ static void text_for_terminals_has_no_controls(void **state) {
   }
 }
 
+/* ---- walks over samples ---- */
+
+static btf_status read_zeros(void *user, const btf_block *b, void *dst, const btf_strides *s) {
+  (void)user;
+  for (uint32_t l = 0; l < b->lights; l++) memset((char *)dst + (ptrdiff_t)l * s->light, 0, sizeof(float));
+  return BTF_OK;
+}
+
+static btf_status refuse_block(void *user, const sample_visit *visit) {
+  (void)visit;
+  ++*(int *)user;
+  return btf_source_error(BTF_E_IO, "no room");
+}
+
+/* What a visit fails with ends the walk. A block has the lights of one view, so that there are as many blocks
+ * as views. */
+static void walks_end_at_the_first_failure(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = test_context(&memory);
+  btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+  btf_dirset *set;
+  input in = {.path = "zeros"};
+  sample_source source;
+  cli c = {.threads = 1, .quiet = true};
+  int walked = 0;
+  const sample_walk walk = {.a = &source, .visit = refuse_block, .user = &walked, .to = 1};
+  assert_ok(btf_dirset_create_named(ctx, "ubo81", &set));
+  d.lights = d.views = set;
+  d.width = d.height = d.channels = 1;
+  d.read = read_zeros;
+  assert_ok(btf_dataset_create(ctx, &d, &in.dataset));
+  btf_dirset_release(set);
+  assert_int_equal(sample_source_open(&in, &source), EXIT_DONE);
+  assert_int_equal(sample_walk_run(&c, &walk), EXIT_IO);
+  assert_int_equal(walked, 1);
+  input_close(&in);
+  test_context_done(ctx, &memory);
+}
+
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(numbers_are_written_like_printf),
@@ -531,6 +572,7 @@ int main(void) {
       cmocka_unit_test(headings_break_after_words),
       cmocka_unit_test(text_for_terminals_has_no_controls),
       cmocka_unit_test(every_task_runs_once_on_its_thread),
+      cmocka_unit_test_setup_teardown(walks_end_at_the_first_failure, silence, speak),
   };
   return btf_run("tool parts", tests);
 }

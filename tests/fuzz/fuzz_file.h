@@ -9,8 +9,8 @@
 #include <unistd.h>
 
 typedef struct fuzz_file {
-  int descriptor;
-  char path[32];
+  int descriptor; /* -1 if it is a file of a folder, which stays */
+  char path[64];
 } fuzz_file;
 
 static inline fuzz_file fuzz_file_make(const uint8_t *data, size_t size) {
@@ -22,7 +22,7 @@ static inline fuzz_file fuzz_file_make(const uint8_t *data, size_t size) {
 }
 
 static inline void fuzz_file_drop(fuzz_file *file) {
-  close(file->descriptor);
+  if (file->descriptor >= 0) close(file->descriptor);
 }
 
 #endif

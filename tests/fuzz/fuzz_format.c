@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: MIT */
 /* Readers of measured files: any bytes are refused with one line, or open as a data set whose samples can be
  * read or are refused in their place; by default and with other settings. FUZZ_FORMAT is the format's id.
- */
-#include "fuzz_file.h"
+ * With FUZZ_NAME the input has that name in a folder of pictures, of which it may replace FUZZ_CHANGED. */
+#include "fuzz_beside.h"
 
 #include <math.h>
 #include <stdbool.h>
@@ -75,7 +75,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
   const btf_format *format = btf_format_find(ctx, FUZZ_FORMAT), *found;
   fuzz_expect(format != NULL);
   btf_context_memory(ctx, &before, NULL);
+#ifdef FUZZ_NAME
+  fuzz_file file = fuzz_beside_make(FUZZ_NAME, FUZZ_CHANGED, data, size);
+#else
   fuzz_file file = fuzz_file_make(data, size);
+#endif
   (void)!btf_format_detect(ctx, file.path, &found);
   open_and_read(ctx, file.path, format, NULL);
   btf_options *options = other_settings(format);

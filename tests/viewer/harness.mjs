@@ -19,9 +19,9 @@ export function serve(folders) {
   return new Promise((resolve) => { server.listen(0, '127.0.0.1', () => resolve({ server, root: `http://127.0.0.1:${server.address().port}` })); });
 }
 
-export const launch = () => chromium.launch({ executablePath: process.env.CHROMIUM || '/usr/bin/chromium', headless: true,
+export const launch = (...more) => chromium.launch({ executablePath: process.env.CHROMIUM || '/usr/bin/chromium', headless: true,
   args: ['--no-sandbox', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update',
-    '--disable-sync', '--allow-file-access-from-files', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'] });
+    '--disable-sync', '--allow-file-access-from-files', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', ...more] });
 
 export const counts = { passed: 0, failed: 0 };
 export function check(name, ok, detail = '') {

@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 
 #include "../cli.h"
+#include "../output_file.h"
 #include "image_files.h"
 
 enum { most_file_bytes = 1 << 30 };
@@ -57,9 +58,12 @@ int image_enlarge(const image *source, uint32_t times, image *out) {
   return EXIT_DONE;
 }
 
+bool image_path_is_known(const char *path) {
+  return output_ends_with(path, ".png") || output_ends_with(path, ".exr");
+}
+
 int image_write(const image *picture, const char *path) {
-  const size_t length = strlen(path);
-  if (length >= 4 && strcasecmp(path + length - 4, ".exr") == 0) return image_write_exr(picture, path, false);
+  if (output_ends_with(path, ".exr")) return image_write_exr(picture, path, false);
   return image_write_png(picture, path, 8);
 }
 

@@ -29,6 +29,8 @@ void image_paste(image *picture, const image *source, uint32_t x, uint32_t y);
 /* The same picture with every pixel repeated `times` times along both axes. */
 int image_enlarge(const image *source, uint32_t times, image *out);
 
+/* Whether a path ends with .png or .exr, be it in capitals. */
+bool image_path_is_known(const char *path);
 /* Writes by the ending of the path: .exr, or else .png. */
 int image_write(const image *picture, const char *path);
 /* sRGB, clipped to 0..1, `bits` 8 or 16. */

@@ -5,14 +5,19 @@ import { readKtx2 } from './ktx2.js';
 const utf8 = new TextDecoder();
 
 function checked(manifest) {
-  if (manifest.format !== 'btf-gpu') throw new Error('manifest.json is not that of a GPU export (btf export)');
-  if (manifest.version !== 1) throw new Error(`version ${manifest.version} of GPU exports; this viewer reads version 1`);
+  if (!manifest || manifest.format !== 'btf-gpu') throw new Error('manifest.json is not that of a GPU export (btf export)');
+  if (manifest.version !== 1)
+    throw new Error(`the export has version ${manifest.version}; this viewer reads version 1: take the viewer of the libbtf that wrote it`);
+  if (!Array.isArray(manifest.textures) || !Array.isArray(manifest.uniforms)) throw new Error('manifest.json lists no textures or no uniforms');
   return manifest;
 }
 
 // read(name) gives a promise of a Uint8Array; progress is told 0..1.
 export async function readExport(read, progress = () => {}) {
-  const manifest = checked(JSON.parse(utf8.decode(await read('manifest.json'))));
+  const text = utf8.decode(await read('manifest.json'));
+  let parsed = null;
+  try { parsed = JSON.parse(text); } catch { throw new Error('manifest.json is not JSON'); }
+  const manifest = checked(parsed);
   const glsl = utf8.decode(await read(manifest.shader || 'btf.glsl'));
   let done = 0;
   const textures = await Promise.all(manifest.textures.map(async (entry) => {
@@ -24,12 +29,14 @@ export async function readExport(read, progress = () => {}) {
   return { manifest, glsl, textures, bytes };
 }
 
+const missing = (name) => (name === 'manifest.json' ? 'no export: manifest.json is missing' : `the export is not complete: ${name} is missing`);
+
 export function fromUrl(url) {
   const folder = new URL(url.endsWith('/') ? url : `${url}/`, location.href);
   return async (name) => {
-    const file = new URL(name, folder), answer = await fetch(file);
-    if (!answer.ok) throw new Error(`${file.href}: ${answer.status} ${answer.statusText}`);
-    return new Uint8Array(await answer.arrayBuffer());
+    const answer = await fetch(new URL(name, folder)).catch((error) => ({ statusText: error.message }));
+    if (answer.ok) return new Uint8Array(await answer.arrayBuffer());
+    throw new Error(`${missing(name)} in ${folder.href} (${[answer.status, answer.statusText].filter(Boolean).join(' ')})`);
   };
 }
 
@@ -37,7 +44,7 @@ export function fromFiles(files) {
   const byName = new Map(files.map((file) => [file.name, file]));
   return async (name) => {
     const file = byName.get(name);
-    if (!file) throw new Error(`${name} is missing among the files`);
+    if (!file) throw new Error(`${missing(name)} among the files`);
     return new Uint8Array(await file.arrayBuffer());
   };
 }
@@ -48,7 +55,7 @@ export function fromPage() {
   if (!find('manifest.json')) return null;
   return async (name) => {
     const element = find(name);
-    if (!element) throw new Error(`${name} is missing in the page`);
+    if (!element) throw new Error(`${missing(name)} in the page`);
     const text = atob(element.textContent.trim()), bytes = new Uint8Array(text.length);
     for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
     element.remove();

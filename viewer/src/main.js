@@ -4,7 +4,7 @@ import { droppedFiles, fromFiles, fromPage, fromUrl, readExport } from './export
 import { builtInEnvironment, readHdr } from './environment.js';
 import { cloth, plane, readObj, sphere } from './shapes.js';
 import { aim, LightBall, rolled, watchPointers, zoomed } from './controls.js';
-import { buildPage } from './panel.js';
+import { buildPage, NARROW } from './panel.js';
 import { inspect } from './inspector.js';
 import { Renderer } from './renderer.js';
 
@@ -59,9 +59,13 @@ async function run() {
     closeSecond: () => load(null, 1),
   };
   const page = buildPage(state, actions), canvas = page.view;
-  const report = (error) => { page.progress(1); page.say(error.message); };
+  const report = (error) => {
+    page.progress(1);
+    page.say(error.message);
+    page.welcome.hidden = Boolean(sources[0]);
+  };
   const camera = () => renderer.camera(state);
-  try { renderer = new Renderer(canvas); } catch (error) { report(error); return; }
+  try { renderer = new Renderer(canvas); } catch (error) { page.stop(error.message); return; }
   const ball = new LightBall(page.ball, state, camera, () => change({}));
 
   // ---- what is shown ----
@@ -102,6 +106,7 @@ async function run() {
   async function take(files, slot) {
     const named = (ending) => files.find((file) => file.name.toLowerCase().endsWith(ending));
     const bytes = async (file) => new Uint8Array(await file.arrayBuffer());
+    page.say('');
     if (named('manifest.json')) await load(fromFiles(files), slot);
     else if (named('.hdr')) {
       mapFile = readHdr(await bytes(named('.hdr')), named('.hdr').name);
@@ -130,14 +135,19 @@ async function run() {
     canvas.classList.toggle('inspecting', state.inspect);
   }
   function resize() {
+    page.update();
     const box = page.stage.getBoundingClientRect(), most = Math.sqrt(MOST_PIXELS / Math.max(1, box.width * box.height));
     const ratio = Math.min(devicePixelRatio || 1, most);
-    renderer.resize(Math.max(1, Math.round(box.width * ratio)), Math.max(1, Math.round(box.height * ratio)));
+    const emptied = renderer.resize(Math.max(1, Math.round(box.width * ratio)), Math.max(1, Math.round(box.height * ratio)));
+    // the browser paints next: an empty canvas would flash
+    if (emptied && renderer.slots[0] && !frozen) { moving = performance.now() + 160; paint(performance.now()); }
     ask();
   }
   function draw(now) {
     asked = false;
-    if (frozen) return;
+    if (!frozen) paint(now);
+  }
+  function paint(now) {
     const isMoving = now < moving, more = renderer.frame(state, isMoving, now - last);
     if (isMoving || more) ask();
     last = now;
@@ -197,7 +207,7 @@ async function run() {
     d: () => sources[1] && change({ compare: state.compare === 'difference' ? 'split' : 'difference' }),
     ' ': () => sources[1] && actions.swap(), i: () => change({ inspect: !state.inspect }),
     p: save, r: () => { setSurface(state.surface); change({ lights: startState().lights, light: 0, rotation: 0, exposure: 0 }); },
-    h: actions.togglePanel, '?': () => { page.help.hidden = !page.help.hidden; }, Escape: () => { page.help.hidden = true; },
+    h: actions.togglePanel, '?': () => { page.help.hidden = !page.help.hidden; }, Escape: () => { page.help.hidden = true; page.say(''); },
   };
   keys['='] = keys['+'];
   const arrows = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -247,13 +257,13 @@ async function run() {
   setSurface('sphere');
   const wanted = new URLSearchParams(location.search), embedded = fromPage();
   if (wanted.get('panel') === '0') document.body.classList.add('bare');
-  if (innerWidth <= 760) document.body.classList.add('wide');
+  if (matchMedia(NARROW).matches) document.body.classList.add('wide');
   resize();
   if (wanted.get('env')) await setEnvironment(wanted.get('env'));
   page.welcome.hidden = Boolean(embedded || wanted.get('export'));
   // for tests, and for pages that embed this one
   globalThis.viewer = {
-    state, renderer, change, setSurface, setEnvironment, take, swap: actions.swap,
+    state, renderer, ball, change, setSurface, setEnvironment, take, swap: actions.swap,
     open: (url, slot = 0) => load(fromUrl(url), slot),
     inspect: (x, y) => inspect(renderer, page, state, x, y),
     async picture(samples) {
@@ -271,7 +281,7 @@ async function run() {
     if (embedded) await load(embedded, 0);
     else if (wanted.get('export')) await load(fromUrl(wanted.get('export')), 0);
     if (wanted.get('second')) await load(fromUrl(wanted.get('second')), 1);
-  } catch (error) { page.welcome.hidden = Boolean(sources[0]); report(error); }
+  } catch (error) { report(error); }
   globalThis.viewer.ready = true;
 }
 

@@ -46,8 +46,11 @@ const KEYS = [
   ['H', 'hide the panel'], ['?', 'this help'],
 ];
 
+export const NARROW = '(max-width: 760px)'; // as in style.css
+
 export function buildPage(state, actions) {
   const { change } = actions, set = (key) => (value) => change({ [key]: value }), get = (key) => () => state[key];
+  let pictureSection = null;
   const parts = [], add = (part) => { parts.push(part); return part.element; };
   const light = () => state.lights[state.light];
   const setLight = (key) => (value) => { if (light()) { light()[key] = value; change({}); } };
@@ -92,12 +95,15 @@ export function buildPage(state, actions) {
     make('div', { className: 'toggles' }, make('button', { textContent: 'Swap', onclick: actions.swap }), make('button', { textContent: 'Close second', onclick: actions.closeSecond })));
   const second = make('section', {}, make('div', { className: 'toggles' },
     make('button', { textContent: 'Open another …', onclick: () => actions.open(0) }), make('button', { textContent: 'Compare with …', onclick: () => actions.open(1) })));
-  const inspected = make('div', {}, make('div', { className: 'discs' },
+  const inspected = make('div', { className: 'inspected' }, make('div', { className: 'discs' },
     make('figure', {}, page.discs[0], make('figcaption', { textContent: 'by light, view fixed' })),
     make('figure', {}, page.discs[1], make('figcaption', { textContent: 'by view, light fixed' }))), page.readout);
   parts.push({ update: () => {
     compare.hidden = !actions.hasSecond();
     inspected.hidden = !state.inspect;
+    // on a phone, and where the panel is hidden, over the picture
+    const over = matchMedia(NARROW).matches || document.body.classList.contains('wide'), home = over ? page.stage : pictureSection;
+    if (inspected.parentElement !== home) home.append(inspected);
   } });
 
   page.panel = make('div', { className: 'panel', role: 'region', ariaLabel: 'Settings' },
@@ -108,10 +114,10 @@ export function buildPage(state, actions) {
       add(slider('Strength', 0, 4, 0.05, () => (light() ? light().strength : 0), setLight('strength'), (x) => x.toFixed(2)))),
     section('Environment', make('div', { className: 'toggles' }, environment, add(toggle('Backdrop', get('backdrop'), set('backdrop'), 'Show the environment behind the surface'))),
       add(slider('Rotation', -180, 180, 1, get('rotation'), set('rotation'), (x) => `${Math.round(x)}°`))),
-    section('Picture', add(segments([['clip', 'Linear'], ['filmic', 'Filmic']], get('tone'), set('tone'))),
+    (pictureSection = section('Picture', add(segments([['clip', 'Linear'], ['filmic', 'Filmic']], get('tone'), set('tone'))),
       add(slider('Exposure', -6, 6, 0.1, get('exposure'), set('exposure'), signed)),
       make('div', { className: 'toggles' }, add(toggle('Level of detail', get('levels'), set('levels'), 'Coarser levels where texels are smaller than pixels')),
-        add(toggle('Inspect', get('inspect'), set('inspect'), 'The reflectance under the cursor by light and by view'))), inspected),
+        add(toggle('Inspect', get('inspect'), set('inspect'), 'The reflectance under the cursor by light and by view'))))),
     compare, section('Export', page.statistics, page.frames), second);
 
   page.help = make('div', { className: 'help', hidden: true, role: 'dialog', ariaLabel: 'Help' },
@@ -152,12 +158,16 @@ export function buildPage(state, actions) {
       row('Rounding', ({ manifest: m }) => (m.cost.rounding > 0 ? m.cost.rounding.toPrecision(2) : 'none')));
   };
 
-  let timer = 0;
+  // Stays until the next thing is opened, or is closed.
   page.say = (text) => {
-    clearTimeout(timer);
-    page.message.textContent = text;
+    page.message.replaceChildren(text, make('button', { textContent: '×', ariaLabel: 'Close the message', onclick: () => page.say('') }));
     page.message.classList.toggle('shown', Boolean(text));
-    if (text) timer = setTimeout(() => page.say(''), 12000);
+  };
+  page.stop = (text) => {
+    document.body.classList.add('bare');
+    page.welcome.hidden = false;
+    page.welcome.replaceChildren(make('h1', { textContent: text }), make('p', { role: 'alert',
+      textContent: 'Materials are drawn with it: a current Firefox, Chrome, Edge or Safari with graphics acceleration switched on has it.' }));
   };
   page.progress = (share) => {
     page.bar.classList.toggle('busy', share < 1);

@@ -14,7 +14,7 @@ const IDLE_SAMPLES = { light: 16, environment: 48 };
 export class Renderer {
   constructor(canvas) {
     const gl = canvas.getContext('webgl2', { antialias: false, alpha: false, powerPreference: 'high-performance' });
-    if (!gl) throw new Error('this browser has no WebGL 2');
+    if (!gl) throw new Error('WebGL 2 is switched off or missing in this browser');
     this.full = gl.getExtension('EXT_color_buffer_float');
     if (!this.full && !gl.getExtension('EXT_color_buffer_half_float')) throw new Error('this browser draws no float pictures');
     Object.assign(this, { gl, canvas, slots: [null, null], shape: null, map: null, sample: 0, scaleStep: 0, dirty: true });
@@ -118,8 +118,9 @@ export class Renderer {
     return orbitCamera(this.shape.target, state.camera[0], state.camera[1], state.distance, this.canvas.width / this.canvas.height);
   }
 
+  // True where the canvas was emptied.
   resize(width, height) {
-    if (this.canvas.width === width && this.canvas.height === height && this.fresh) return;
+    if (this.canvas.width === width && this.canvas.height === height && this.fresh) return false;
     const { gl } = this;
     Object.assign(this.canvas, { width, height });
     if (this.fresh) freeTarget(gl, this.fresh);
@@ -127,6 +128,7 @@ export class Renderer {
     for (const slot of this.slots)
       if (slot && slot.means) { slot.means.forEach((target) => freeTarget(gl, target)); slot.means = null; }
     this.restart();
+    return true;
   }
 
   lightsOf(state, sample) {

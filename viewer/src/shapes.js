@@ -19,7 +19,7 @@ export function plane() {
 }
 
 // The shader moves fragments onto the exact sphere.
-export function sphere(rows = 192, columns = 384) {
+export function sphere(rows = 96, columns = 192) {
   const positions = new Float32Array((rows + 1) * (columns + 1) * 3), uvs = new Float32Array((rows + 1) * (columns + 1) * 2);
   for (let row = 0, i = 0; row <= rows; row++)
     for (let column = 0; column <= columns; column++, i++) {

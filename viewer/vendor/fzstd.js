@@ -1,5 +1,6 @@
 /*
- * fzstd 0.1.1, a decoder of zstd (https://github.com/101arrowz/fzstd); the one change is that it is wrapped into one export.
+ * fzstd 0.1.1, a decoder of zstd (https://github.com/101arrowz/fzstd); changed in two points: it is wrapped
+ * into one export, and a comment about plans was removed.
  *
  * MIT License
  *
@@ -402,7 +403,6 @@ var dhu = function (dat, out, hu) {
         err(0);
 };
 // decode huffman stream 4x
-// TODO: use workers to parallelize
 var dhu4 = function (dat, out, hu) {
     var bt = 6;
     var ss = out.length, sz1 = (ss + 3) >> 2, sz2 = sz1 << 1, sz3 = sz1 + sz2;

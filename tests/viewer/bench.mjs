@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: MIT
+// What the tests of the viewer share: the command, its exports, a browser, and pictures of both to compare.
+import { execFileSync } from 'node:child_process';
+import { readFileSync } from 'node:fs';
+import { join, resolve } from 'node:path';
+import { check, launch, meanDifference, openPage, pixels, serve } from './harness.mjs';
+
+const [btf, work, ...options] = process.argv.slice(2);
+export { btf, work };
+export const quick = options.includes('--quick'), onlyPictures = options.includes('--pictures');
+export const source = resolve(import.meta.dirname, '../..');
+export const SIDE = quick ? 96 : 128, SAMPLES = quick ? 4 : 16;
+// The contract's bound. Part of it is noise: samples of a pixel at other places than those of `btf render`. How much is
+// printed: the difference of two of its pictures with other seeds.
+export const MOST_DIFFERENCE = 2;
+export const small = { viewport: { width: SIDE, height: SIDE } };
+export const plain = { tone: 'clip', background: [0.18, 0.18, 0.18] };
+export const { server, root } = await serve({ viewer: join(source, 'viewer'), tests: join(source, 'tests/viewer'),
+  modules: join(source, 'viewer/node_modules'), models: work });
+export const browser = await launch();
+
+export const run = (...args) => execFileSync(btf, args, { stdio: ['ignore', 'pipe', 'inherit'] }).toString();
+export const exported = (name) => `${root}/models/${name}`;
+export const ready = (page) => page.waitForFunction(() => globalThis.viewer && globalThis.viewer.ready);
+export const change = (page, values) => page.evaluate((v) => globalThis.viewer.change(v), values);
+export const picture = async (page, samples = SAMPLES) => pixels(page, await page.evaluate((n) => globalThis.viewer.picture(n), samples));
+
+// A page of the viewer with an export; frames are drawn on demand unless `query` says otherwise.
+export async function openViewer(name, options = small, query = 'frames=0&panel=0') {
+  const page = await openPage(browser, options);
+  await page.goto(`${root}/viewer/index.html?${query}${name ? `&export=${exported(name)}` : ''}`);
+  await ready(page);
+  return page;
+}
+export async function close(page, title) {
+  check(`${title}: no errors`, page.faults.length === 0, page.faults.slice(0, 3).join(' | '));
+  await page.context().close();
+}
+
+let rendered = 0;
+export async function reference(page, name, ...args) {
+  const path = join(work, `reference${rendered++}.png`);
+  run('render', join(work, `${name}.btfz`), '-o', path, '--size', `${SIDE}x${SIDE}`, '--spp', '16', '--quiet', ...args);
+  return pixels(page, readFileSync(path));
+}
+export function alike(title, mine, theirs, most = MOST_DIFFERENCE) {
+  const difference = meanDifference(mine, theirs);
+  check(title, difference < most, `mean absolute difference ${difference.toFixed(2)} of 255`);
+}
+export async function compare(page, title, name, ...args) {
+  const mine = await picture(page);
+  alike(title, mine, await reference(page, name, ...args));
+  return mine;
+}
+export async function drag(page, from, to, modifier) {
+  if (modifier) await page.keyboard.down(modifier);
+  await page.mouse.move(...from);
+  await page.mouse.down();
+  await page.mouse.move(...to, { steps: 4 });
+  await page.mouse.up();
+  if (modifier) await page.keyboard.up(modifier);
+}

@@ -1,0 +1,265 @@
+// SPDX-License-Identifier: MIT
+// What the viewer can do beside the sphere under one light: each with one codec's export.
+import { cpSync, mkdirSync, readdirSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
+import { join } from 'node:path';
+import { execFileSync } from 'node:child_process';
+import { read } from '../../viewer/node_modules/ktx-parse/dist/ktx-parse.esm.js';
+import { check, launch, meanDifference, openPage } from './harness.mjs';
+import { alike, browser, btf, change, close, compare, drag, exported, openViewer, picture, plain, reference, root, SIDE, small, work } from './bench.mjs';
+
+const linear = (byte) => (byte / 255 <= 0.04045 ? byte / 255 / 12.92 : ((byte / 255 + 0.055) / 1.055) ** 2.4);
+const coded = (value) => { const x = Math.min(Math.max(value, 0), 1); return 255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055); };
+const brightness = (rgb) => rgb.reduce((sum, byte) => sum + byte, 0) / rgb.length;
+const centre = (rgb) => rgb[3 * (SIDE * SIDE / 2 + SIDE / 2)] + rgb[3 * (SIDE * SIDE / 2 + SIDE / 2) + 1];
+const half = (rgb, right) => rgb.filter((_, i) => {
+  const x = (Math.floor(i / 3) % SIDE) - SIDE / 2;
+  return Math.abs(x) > 2 && x > 0 === right;
+});
+const surface = (page, name) => page.evaluate((kind) => globalThis.viewer.setSurface(kind), name);
+
+// Files or folders of this machine, dropped as the browser's user does.
+async function dropPaths(page, paths, x = 5, y = 5) {
+  const session = await page.context().newCDPSession(page);
+  const data = { items: [], files: paths, dragOperationsMask: 1 };
+  for (const type of ['dragEnter', 'dragOver', 'drop']) await session.send('Input.dispatchDragEvent', { type, x, y, data });
+}
+
+const TENT = 'v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 0.6\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvt 0.5 0.5\n' +
+  'f 1/1 2/2 5/5\nf 2/2 3/3 5/5\nf 3/3 4/4 5/5\nf 4/4 1/1 5/5\n';
+
+export async function surfaces(name) {
+  const page = await openViewer(name);
+  await change(page, plain);
+  await surface(page, 'plane');
+  await compare(page, 'the plane is that of btf render', name, '--scene', 'plane');
+  await surface(page, 'cloth');
+  const cloth = await picture(page, 4), theirs = await reference(page, name, '--scene', 'cloth');
+  // other threads, the same fall: it covers what the cloth of btf render covers
+  const ground = Math.round(coded(0.18)), covered = (rgb, i) => [0, 1, 2].some((c) => Math.abs(rgb[3 * i + c] - ground) > 2);
+  let both = 0, either = 0;
+  for (let i = 0; i < SIDE * SIDE; i++) {
+    both += covered(cloth, i) && covered(theirs, i);
+    either += covered(cloth, i) || covered(theirs, i);
+  }
+  check('the cloth lies as that of btf render', both / either > 0.9, `${both} of ${either} pixels`);
+  writeFileSync(join(work, 'tent.obj'), TENT);
+  await dropPaths(page, [join(work, 'tent.obj')]);
+  await page.waitForFunction(() => globalThis.viewer.state.surface === 'obj');
+  await compare(page, 'an OBJ file that is dropped, as btf render draws it', name, '--scene', join(work, 'tent.obj'), '--camera', '-90,20', '--distance', '3.6');
+  await close(page, 'surfaces');
+}
+
+export async function lights(name) {
+  const page = await openViewer(name);
+  await change(page, { ...plain, exposure: -1 });
+  await page.keyboard.press('a');
+  const [one, two] = await page.evaluate(() => globalThis.viewer.state.lights);
+  await change(page, { lights: [one, { ...two, strength: 1, colour: [1, 1, 1] }] });
+  const apart = [];
+  for (const light of [one, two]) apart.push(await reference(page, name, '--light', `${light.azimuth},${light.elevation}`, '--exposure', '-1'));
+  // what two lights give together is their sum, but for the background
+  const ground = linear(Math.round(coded(0.18)));
+  const sum = apart[0].map((byte, i) => {
+    const x = (Math.floor(i / 3) % SIDE) + 0.5 - SIDE / 2, y = Math.floor(i / 3 / SIDE) + 0.5 - SIDE / 2;
+    const onSphere = Math.hypot(x, y) / SIDE < 0.5 / 3.6 / Math.tan(Math.PI / 10);
+    return Math.round(coded(linear(byte) + linear(apart[1][i]) - (onSphere ? 0 : ground)));
+  });
+  alike('two lights are the sum of each', await picture(page), sum);
+  await surface(page, 'sphere');
+  await page.evaluate(() => globalThis.viewer.setEnvironment('studio'));
+  await change(page, { lights: [], backdrop: false, tone: 'filmic', exposure: 0.5, rotation: 70 });
+  const turned = await picture(page, 48), options = ['--env', 'studio', '--background', '0.18,0.18,0.18', '--exposure', '0.5', '--spp', '64'];
+  alike('studio, turned, exposed and filmic as btf render has it', turned, await reference(page, name, ...options, '--rotate', '70'));
+  await page.keyboard.press('[');
+  check('[ rotates the environment', (await page.evaluate(() => globalThis.viewer.state.rotation)) === 65);
+  await change(page, { rotation: -110 });
+  check('its rotation shows', meanDifference(await picture(page, 16), turned) > 4);
+  await page.evaluate(async () => {
+    const head = new TextEncoder().encode('#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\n'), bytes = new Uint8Array(head.length + 128).fill(129);
+    bytes.set(head);
+    await globalThis.viewer.take([new File([bytes], 'grey.hdr')], 0);
+  });
+  check('a .hdr map can be dropped', (await page.evaluate(() => globalThis.viewer.state.environment)) === 'file' && centre(await picture(page)) > 20);
+  await close(page, 'lights');
+}
+
+// f * cos at the chosen point by `btf eval` is the colour that the inspector shows, and so are its two pictures elsewhere.
+export async function inspector(name) {
+  const page = await openViewer(name);
+  await change(page, { ...plain, levels: false, exposure: -1 });
+  const seen = await page.evaluate(() => {
+    const { uv, view, light, hex } = globalThis.viewer.inspect(0.45, 0.4), z = Math.sqrt(1 - 0.45 ** 2 - 0.4 ** 2), other = [0.45, -0.4, z];
+    const at = (k, sign) => (1 + (sign * other[k]) / (1 + z) / 1.04) * 0.5 * 192;
+    const discs = [...document.querySelectorAll('.discs canvas')].map((canvas) => [...canvas.getContext('2d').getImageData(Math.floor(at(0, 1)), Math.floor(at(1, -1)), 1, 1).data.slice(0, 3)]);
+    return { uv, view, light, other, colours: [[1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16)), ...discs] };
+  });
+  const queries = [[seen.light, seen.view], [seen.other, seen.view], [seen.light, seen.other]];
+  queries.forEach(([light, view], i) => {
+    const input = `${[...seen.uv, ...light, ...view].join(' ')}\n`;
+    const answer = execFileSync(btf, ['eval', join(work, `${name}.btfz`)], { input }).toString().trim().split(/\s+/).map(Number).slice(-3);
+    const worst = Math.max(...answer.map((f, c) => Math.abs(coded(f * Math.PI * light[2] * 0.5) - seen.colours[i][c])));
+    // a pixel of the disc is 1/92 wide, a tenth of the distance between lights: part of their contrast
+    check(`the inspector ${['names the colour', 'shows it by light', 'shows it by view'][i]} that btf eval says`, worst < 8, `${seen.colours[i]}, off by ${worst.toFixed(1)} of 255`);
+  });
+  await close(page, 'inspector');
+}
+
+export async function comparison(name) {
+  const page = await openViewer(name);
+  await change(page, plain);
+  const alone = await picture(page);
+  await page.evaluate((url) => globalThis.viewer.open(url, 1), exported(name));
+  await change(page, { compare: 'difference' });
+  const none = await picture(page);
+  const titles = () => page.evaluate(() => [...document.querySelectorAll('.title p')].map((p) => p.textContent));
+  check('both are named', new Set(await titles()).size === 1);
+  await dropPaths(page, [join(work, 'coarse')], 0.8 * SIDE, 9); // the right half
+  await page.waitForFunction(() => globalThis.viewer.state.compare === 'split');
+  const named = await titles();
+  await change(page, { compare: 'difference' });
+  const some = await picture(page);
+  check('a difference with itself is black', centre(none) === 0);
+  check('a difference with a coarser model, a folder that is dropped, is not', brightness(some) > brightness(none), `${brightness(some).toFixed(2)} over ${brightness(none).toFixed(2)}`);
+  await change(page, { compare: 'second' });
+  alike('the second alone is that of btf render', await picture(page), await reference(page, 'coarse'));
+  await change(page, { compare: 'split' });
+  const split = await picture(page);
+  check('left of the line is the first', meanDifference(half(split, false), half(alone, false)) < 0.1);
+  check('right of it is not', meanDifference(half(split, true), half(alone, true)) > 0.1);
+  await drag(page, [SIDE / 2, SIDE / 2], [SIDE - 1, SIDE / 2]);
+  const line = await page.evaluate(() => globalThis.viewer.state.line);
+  check('the line is dragged', Math.abs(line - (SIDE - 1) / SIDE) < 0.02, line.toFixed(2));
+  check('and what is left of it with it', meanDifference(half(await picture(page), false), half(alone, false)) < 0.1);
+  await page.keyboard.press(' ');
+  check('space swaps the two', named[0] !== named[1] && (await titles()).join() === named.reverse().join(), named.join());
+  await close(page, 'comparison');
+}
+
+// One clear message each, and what was shown before stays.
+export async function errors(name) {
+  cpSync(join(work, name), join(work, 'future'), { recursive: true });
+  writeFileSync(join(work, 'future/manifest.json'), readFileSync(join(work, name, 'manifest.json'), 'utf8').replace(/"version":\s*1/, '"version":2'));
+  cpSync(join(work, name), join(work, 'incomplete'), { recursive: true });
+  const lost = readdirSync(join(work, name)).find((file) => file.endsWith('.ktx2'));
+  rmSync(join(work, 'incomplete', lost));
+  mkdirSync(join(work, 'none'), { recursive: true });
+  writeFileSync(join(work, 'none/readme.txt'), 'nothing');
+  const page = await openViewer(''), said = () => page.evaluate(() => [...document.querySelectorAll('.message.shown')].map((m) => m.firstChild.textContent).join('|'));
+  const expect = async (title, what, open) => {
+    await page.keyboard.press('Escape');
+    await open();
+    await page.waitForFunction(() => document.querySelector('.message.shown'));
+    const message = await said();
+    check(`a message for ${title}`, what.test(message) && !/undefined|TypeError|property/.test(message), message);
+  };
+  const url = (folder) => async () => {
+    await page.fill('.welcome input', exported(folder));
+    await page.press('.welcome input', 'Enter');
+  };
+  await expect('a URL without an export', /no export: manifest\.json is missing in .*none\/ \(404/, url('none'));
+  await expect('a future version', /version 2.*reads version 1/, url('future'));
+  await expect('a missing texture', new RegExp(`not complete: ${lost} is missing in`), url('incomplete'));
+  check('the page still asks for an export', await page.evaluate(() => !document.querySelector('.welcome').hidden));
+  await expect('a dropped folder without an export', /export folder \(with its manifest\.json\)/, () => dropPaths(page, [join(work, 'none')]));
+  await expect('a dropped folder without a texture', new RegExp(`not complete: ${lost} is missing among`), () => dropPaths(page, [join(work, 'incomplete')]));
+  await dropPaths(page, [join(work, name)]);
+  await page.waitForFunction(() => document.querySelector('.welcome').hidden);
+  check('a folder that is dropped opens, and the message is gone', (await said()) === '' && centre(await picture(page, 4)) > 20);
+  const before = await picture(page, 4);
+  await expect('a future version that is dropped', /version 2/, () => dropPaths(page, [join(work, 'future')]));
+  check('after an error the material stays', meanDifference(await picture(page, 4), before) === 0);
+  page.faults = page.faults.filter((fault) => !/404/.test(fault)); // the browser's own lines
+  await close(page, 'errors');
+
+  const old = await launch('--disable-3d-apis'), without = await openPage(old, small);
+  await without.goto(`${root}/viewer/index.html?export=${exported(name)}`);
+  await without.waitForSelector('.welcome:not([hidden])');
+  const text = await without.evaluate(() => [document.querySelector('.welcome').innerText, getComputedStyle(document.querySelector('.panel')).display]);
+  check('a message where WebGL 2 is missing', /WebGL 2/.test(text[0]) && text[1] === 'none', text[0].split('\n')[0]);
+  check('no WebGL 2: no errors', without.faults.length === 0, without.faults.join(' | '));
+  await old.close();
+}
+
+// What the canvas holds whenever it is drawn or emptied, while another export, surface and size replace what is there.
+export async function flicker(name) {
+  const page = await openViewer(name, small, 'panel=0');
+  await page.evaluate(() => {
+    const { renderer } = globalThis.viewer, { gl, canvas } = renderer, show = renderer.show.bind(renderer), seen = globalThis.seen = { drawn: [], resized: [] };
+    const look = (list) => {
+      const rgba = new Uint8Array(4 * 64);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+      gl.readPixels(0.36 * canvas.width, 0.6 * canvas.height, 8, 8, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
+      list.push(rgba.reduce((sum, byte, i) => sum + (i % 4 === 1 ? byte : 0), 0) / 64);
+    };
+    renderer.show = (state) => { show(state); look(seen.drawn); };
+    let known = false; // a watcher is told the size that it starts with
+    new ResizeObserver(() => { if (known) look(seen.resized); known = true; }).observe(document.querySelector('.stage'));
+  });
+  const settled = () => page.waitForFunction(() => globalThis.viewer.renderer.sample >= 4);
+  await page.evaluate((url) => globalThis.viewer.open(url), exported('coarse'));
+  await settled();
+  await page.evaluate((url) => globalThis.viewer.open(url, 1), exported(name));
+  await settled();
+  await surface(page, 'plane');
+  await settled();
+  for (const [i, size] of [SIDE + 22, SIDE - 17].entries()) {
+    await page.setViewportSize({ width: size, height: size });
+    await page.waitForFunction((before) => globalThis.seen.resized.length > before, i);
+  }
+  const { drawn, resized } = await page.evaluate(() => globalThis.seen), darkest = Math.min(...drawn, ...resized);
+  // an empty canvas is 0, the darkest of the lit surface some 100
+  check('nothing flickers while things are replaced', resized.length >= 2 && drawn.length > 8 && darkest > 30,
+    `drawn ${drawn.length} times, ${resized.length} sizes, the darkest ${darkest.toFixed(0)} of 255`);
+  await close(page, 'flicker');
+}
+
+export async function desktop(name) {
+  const page = await openViewer(name, { viewport: { width: 800, height: 420 } }, 'frames=0');
+  const manifest = JSON.parse(readFileSync(join(work, name, 'manifest.json'), 'utf8'));
+  const bytes = manifest.textures.reduce((sum, { file }) => sum + read(readFileSync(join(work, name, file))).levels.reduce((s, l) => s + l.levelData.length, 0), 0);
+  const rows = await page.evaluate(() => Object.fromEntries([...document.querySelectorAll('table tr')].map((row) => [row.cells[0].textContent, row.cells[1].textContent])));
+  const number = (text) => Number(text.replace(/[^0-9.]/g, ''));
+  const size = number(rows.Size) * (/MiB/.test(rows.Size) ? 1 << 20 : 1024);
+  check('statistics: bytes of the textures', Math.abs(size / bytes - 1) < 0.01, `${rows.Size} of ${bytes}`);
+  check('statistics: fetches, bytes and operations of an evaluation', number(rows.Fetches) === Math.round(manifest.cost.fetches) &&
+    number(rows['Bytes read']) === Math.round(manifest.cost.bytes) && number(rows.Operations) === Math.round(manifest.cost.flops), `${rows.Fetches}, ${rows['Bytes read']}, ${rows.Operations}`);
+  // the light's dot stays under the pointer that drags it, as on a trackball
+  const box = await page.locator('.light canvas').boundingBox(), radius = 0.44 * box.width, middle = [box.x + box.width / 2, box.y + box.height / 2];
+  const dot = () => page.evaluate(() => { const { x, y } = globalThis.viewer.ball.dots()[0]; return [x, y]; });
+  const from = await dot(), to = [middle[0] + 0.3 * radius, middle[1] + 0.4 * radius];
+  await drag(page, [middle[0] + from[0] * radius, middle[1] - from[1] * radius], to);
+  const now = await dot();
+  check('the light follows the pointer on its ball', Math.hypot(now[0] - 0.3, now[1] + 0.4) < 0.02, now.map((x) => x.toFixed(2)).join(', '));
+  const state = () => page.evaluate(() => JSON.stringify([globalThis.viewer.state, document.body.className, document.querySelector('.help').hidden]));
+  const dead = [];
+  for (const key of ['2', '1', 'e', 'e', 'e', '[', ']', '+', '-', 't', 'l', 'a', 'n', 'i', 'h', 'h', 'ArrowLeft', 'Shift+ArrowUp', '?', 'Escape', 'r']) {
+    const before = await state();
+    await page.keyboard.press(key);
+    if (before === (await state())) dead.push(key);
+  }
+  check('every key does something', dead.length === 0, dead.join(' '));
+  await close(page, 'desktop');
+}
+
+// Frames as people see them: the loop runs, a phone gets the sheet and fingers.
+export async function phone(name) {
+  const page = await openViewer(name, { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true }, 'x=1');
+  await page.waitForFunction(() => document.querySelector('canvas.view.ready'));
+  const area = () => page.evaluate(() => { const b = document.querySelector('.stage').getBoundingClientRect(); return [b.width, b.height, document.documentElement.scrollWidth]; });
+  const box = await area();
+  check('a phone: the picture has the width and most of the height', box[0] === 390 && box[1] > 740 && box[2] <= 390, box.join(', '));
+  await page.tap('.sheet');
+  const less = await area();
+  check('a phone: the settings leave half the height', less[1] > 420 && less[1] < box[1], less.join(', '));
+  await page.tap('.sheet');
+  await page.keyboard.press('i');
+  await page.touchscreen.tap(195, 400);
+  await page.waitForFunction(() => /texel/.test(document.querySelector('.readout').textContent));
+  const discs = await page.locator('.stage .inspected').boundingBox();
+  check('a phone: a tap shows the two hemispheres', discs && discs.x >= 0 && discs.x + discs.width <= 390 && discs.y > 400 && discs.y + discs.height <= 844, JSON.stringify(discs));
+  await page.screenshot({ path: join(work, 'phone.png') });
+  await page.keyboard.press('?');
+  const keys = await page.evaluate(() => [!document.querySelector('.help').hidden, document.querySelectorAll('.help dt').length]);
+  check('? shows the keys', keys[0] && keys[1] > 15, String(keys));
+  await close(page, 'a phone');
+}
