@@ -6,7 +6,8 @@
 #include "fuzz_file.h"
 
 /* Writes the input as `name`. What follows its first NUL stands for the picture `changed`. The folder is made
- * once, with good pictures of 8 x 8 texels under the other names, and removed at exit. */
+ * once, with good pictures of 8 x 8 texels under the other names, and removed at exit, which libFuzzer skips.
+ */
 fuzz_file fuzz_beside_make(const char *name, const char *changed, const uint8_t *data, size_t size);
 
 #endif
