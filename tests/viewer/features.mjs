@@ -241,9 +241,11 @@ export async function desktop(name) {
   await close(page, 'desktop');
 }
 
-// Frames as people see them: the loop runs, a phone gets the sheet and fingers. Of the lightest model, for software GL.
+// Frames as people see them: the loop runs, a phone gets the sheet and fingers. Of a light model and from afar, for software GL.
 export async function phone() {
-  const page = await openViewer('coarse', { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true }, 'x=1');
+  const page = await openViewer('', { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true }, '');
+  await change(page, { distance: 8 });
+  await page.evaluate((url) => globalThis.viewer.open(url), exported('coarse'));
   await page.waitForFunction(() => document.querySelector('canvas.view.ready'));
   const area = () => page.evaluate(() => { const b = document.querySelector('.stage').getBoundingClientRect(); return [b.width, b.height, document.documentElement.scrollWidth]; });
   const box = await area();
