@@ -91,25 +91,26 @@ export function readHdr(bytes, name) {
 
 // Cells of the mean radiance, and sums along which they are drawn in proportion to the light they give.
 function prepared(map) {
-  const cells = new Float32Array(CELLS_X * CELLS_Y * 3), counts = new Uint32Array(CELLS_X * CELLS_Y);
+  const columns = Math.min(CELLS_X, map.width), rows = Math.min(CELLS_Y, map.height);
+  const cells = new Float32Array(columns * rows * 3), counts = new Uint32Array(columns * rows);
   for (let y = 0, at = 0; y < map.height; y++)
     for (let x = 0; x < map.width; x++, at += 3) {
-      const cell = Math.floor((y * CELLS_Y) / map.height) * CELLS_X + Math.floor((x * CELLS_X) / map.width);
+      const cell = Math.floor((y * rows) / map.height) * columns + Math.floor((x * columns) / map.width);
       for (let c = 0; c < 3; c++) cells[3 * cell + c] += map.rgb[at + c];
       counts[cell]++;
     }
-  const sums = new Float64Array(CELLS_X * CELLS_Y + 1);
+  const sums = new Float64Array(columns * rows + 1);
   for (let cell = 0; cell < counts.length; cell++) {
     for (let c = 0; c < 3; c++) cells[3 * cell + c] /= Math.max(1, counts[cell]);
-    sums[cell + 1] = sums[cell] + luminance(cells, cell) * solidAngle(cell);
+    sums[cell + 1] = sums[cell] + luminance(cells, cell) * solidAngle(cell, columns, rows);
   }
-  return { ...map, cells, sums };
+  return { ...map, columns, rows, cells, sums };
 }
 
 const luminance = (cells, cell) => 0.2126 * cells[3 * cell] + 0.7152 * cells[3 * cell + 1] + 0.0722 * cells[3 * cell + 2];
-const solidAngle = (cell) => {
-  const row = Math.floor(cell / CELLS_X), step = Math.PI / CELLS_Y;
-  return ((2 * Math.PI) / CELLS_X) * (Math.cos(row * step) - Math.cos((row + 1) * step));
+const solidAngle = (cell, columns, rows) => {
+  const row = Math.floor(cell / columns), step = Math.PI / rows;
+  return ((2 * Math.PI) / columns) * (Math.cos(row * step) - Math.cos((row + 1) * step));
 };
 
 // A distant light that stands for 1 / count of the map; x and y in 0..1 choose which.
@@ -122,8 +123,8 @@ export function sampleEnvironment(map, x, y, count, rotation) {
     else high = middle;
   }
   const weight = map.sums[low + 1] - map.sums[low], inside = weight > 0 ? (wanted - map.sums[low]) / weight : 0.5;
-  const direction = mapDirection((low % CELLS_X) + inside, Math.floor(low / CELLS_X) + y, CELLS_X, CELLS_Y);
-  const factor = weight > 0 ? (total / weight) * (solidAngle(low) / count) : 0;
+  const direction = mapDirection((low % map.columns) + inside, Math.floor(low / map.columns) + y, map.columns, map.rows);
+  const factor = weight > 0 ? (total / weight) * (solidAngle(low, map.columns, map.rows) / count) : 0;
   return { direction: turned(direction, [0, 0, 1], rotation),
     irradiance: [0, 1, 2].map((c) => map.cells[3 * low + c] * factor) };
 }
