@@ -13,7 +13,8 @@
 enum { MAP = 256 /* texels along a side */, ROW = 256 /* facets in a row of their table */ };
 
 /* Of a search that ends where it begins: the map, and three texels of the facet. */
-static const btf_gpu_cost search = {sizeof search, 4.0, 4.0 + 3.0 * 16.0, 30.0, 0.0};
+static const btf_gpu_cost search = {
+    .struct_size = sizeof search, .fetches = 4.0, .bytes = 4.0 + 3.0 * 16.0, .flops = 30.0};
 
 static btf_status put_tables(btf_gpu_builder *b, const char *name, const btf_dirset *set) {
   char table_name[BTFI_GPU_NAME];
@@ -75,18 +76,18 @@ btf_status btfi_gpu_directions(btf_gpu_builder *b, const char *name, const btf_d
   btfi_gpu_cost(b, &search);
   for (uint32_t i = 0; i < b->set_count; i++) {
     if (!btfi_dirset_equal(b->set[i], set)) continue;
-    btfi_put_text(&b->accessor,
+    btfi_put_text(&b->search,
                   "void btf_locate_%s(vec3 direction, out ivec3 index, out vec3 weight) {\n"
                   "  btf_locate_%s(direction, index, weight);\n"
                   "}\n",
                   name, b->set_name[i]);
-    return btfi_buffer_status(&b->accessor);
+    return btfi_buffer_status(&b->search);
   }
   if (b->set_count == sizeof b->set / sizeof *b->set)
     return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: more than two direction sets");
   BTFI_TRY(put_tables(b, name, set));
-  put_walk(&b->accessor, name);
+  put_walk(&b->search, name);
   b->set[b->set_count] = set;
   snprintf(b->set_name[b->set_count++], BTFI_GPU_NAME, "%s", name);
-  return btfi_buffer_status(&b->accessor);
+  return btfi_buffer_status(&b->search);
 }

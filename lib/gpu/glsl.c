@@ -136,7 +136,8 @@ void btfi_gpu_put_glsl(const btf_gpu_builder *b, uint32_t wrap, bool divide, btf
                                        : "#define BTF_WRAPPED(u) fract(u)\n"
                                          "#define BTF_WRAP(i, size) ((i + size) % size)\n");
   btfi_put_text(out, "%s%s%s", directions, powers, texels);
-  btfi_put_bytes(out, b->accessor.data, b->accessor.size);
+  btfi_gpu_put_accessors(b, out);
+  btfi_put_bytes(out, b->search.data, b->search.size);
   btfi_put_bytes(out, b->source.data, b->source.size);
   btfi_put_text(out, "vec3 btf_eval(vec3 light, vec3 view, vec2 uv, float lod) {\n"
                      "  if (!(light.z > 0.0 && view.z > 0.0)) return vec3(0.0);\n");
