@@ -10,6 +10,8 @@
 #include "safe_text.h"
 #include "viewer_page.h"
 
+enum { NOTHING_LOST = 999 /* dB, by btf_gpu_cost */ };
+
 static const char *dimension_word(uint32_t dimension) {
   return dimension == BTF_TEXTURE_3D         ? "3D"
          : dimension == BTF_TEXTURE_CUBE     ? "cube"
@@ -44,8 +46,11 @@ static int print_text(const btf_gpu_export *e, const btf_gpu_cost *cost) {
     printf("%-24s %s, %" PRIu32 "x%" PRIu32 "x%" PRIu32 ", %" PRIu32 " level%s, %" PRIu64 " bytes", t.name,
            dimension_word(t.dimension), t.width, t.height, t.depth * t.layers, t.level_count,
            t.level_count == 1 ? "" : "s", bytes);
-    if (t.psnr_db != 0.0)
-      printf(", %s at %.1f dB", t.texel == BTF_TEXEL_BC7_UNORM ? "BC7" : "BC6H", t.psnr_db);
+    if (t.psnr_db != 0.0) printf(", %s", t.texel == BTF_TEXEL_BC7_UNORM ? "BC7" : "BC6H");
+    if (t.psnr_db >= NOTHING_LOST)
+      printf(" without loss");
+    else if (t.psnr_db != 0.0)
+      printf(" at %.1f dB", t.psnr_db);
     printf("\n");
     total += bytes;
   }
