@@ -6,7 +6,7 @@
 #include <float.h>
 #include <string.h>
 
-enum { RGB = 7, ALPHA = 8, MODES = 8, PARTITIONS = 64, REFINEMENTS = 3, TRIED_PARTITIONS = 2 };
+enum { RGB = 7, ALPHA = 8, MODES = 8, PARTITIONS = 64, REFINEMENTS = 3 };
 typedef enum bc7_low_bits { LOW_NONE, LOW_SHARED, LOW_EACH } bc7_low_bits; /* of the ends: p-bits */
 
 typedef struct bc7_mode {
@@ -191,7 +191,8 @@ static float fit_line(const line_problem *p, uint8_t end[2][4], uint8_t low[2],
   for (int round = 0; round < REFINEMENTS; round++) {
     bool is_better = false;
     for (uint32_t choice = 0; choice < choices; choice++) {
-      const uint8_t tried_low[2] = {choice & 1u, p->mode->low == LOW_SHARED ? choice & 1u : choice >> 1};
+      const uint8_t tried_low[2] = {(uint8_t)(choice & 1u),
+                                    (uint8_t)(p->mode->low == LOW_SHARED ? choice & 1u : choice >> 1)};
       uint8_t tried[2][4], indices[BTFI_BLOCK_TEXELS] = {0};
       for (int e = 0; e < 2; e++)
         for (int c = 0; c < 4; c++) tried[e][c] = nearest_end(p->mode, ends[e][c], tried_low[e], c);
@@ -270,26 +271,27 @@ static float fit_channels(const float texels[BTFI_BLOCK_TEXELS][4], uint32_t cou
 
 /* ---- choices ---- */
 
-/* The partitions whose lines leave least, best first. */
-static void best_partitions(const float texels[BTFI_BLOCK_TEXELS][4], const float weight[4],
-                            uint32_t best[TRIED_PARTITIONS]) {
-  float least[TRIED_PARTITIONS];
-  for (int t = 0; t < TRIED_PARTITIONS; t++) least[t] = FLT_MAX;
-  for (uint32_t k = 0; k < PARTITIONS; k++) {
-    btfi_moments m[2] = {{.count = 0.0f}, {.count = 0.0f}};
-    for (uint32_t i = 0; i < BTFI_BLOCK_TEXELS; i++)
-      btfi_moments_add(&m[partitions[k] >> i & 1u], texels[i], weight);
-    float residual = btfi_moments_residual(&m[0], NULL) + btfi_moments_residual(&m[1], NULL);
-    for (uint32_t t = 0, number = k; t < TRIED_PARTITIONS; t++) {
-      if (!(residual < least[t])) continue;
-      const float before = least[t];
-      const uint32_t number_before = best[t];
-      least[t] = residual;
-      best[t] = number;
-      residual = before;
-      number = number_before;
-    }
+/* The partition whose lines leave least. */
+static uint32_t best_partition(const float texels[BTFI_BLOCK_TEXELS][4], const float weight[4]) {
+  btfi_moments of_texel[BTFI_BLOCK_TEXELS], all = {.count = 0.0f};
+  float least = FLT_MAX;
+  uint32_t best = 0;
+  memset(of_texel, 0, sizeof of_texel);
+  for (uint32_t i = 0; i < BTFI_BLOCK_TEXELS; i++) {
+    btfi_moments_add(&of_texel[i], texels[i], weight);
+    btfi_moments_join(&all, &of_texel[i], 1.0f);
   }
+  for (uint32_t k = 0; k < PARTITIONS; k++) {
+    btfi_moments second = {.count = 0.0f}, first = all;
+    for (uint32_t i = 0; i < BTFI_BLOCK_TEXELS; i++)
+      if (partitions[k] >> i & 1u) btfi_moments_join(&second, &of_texel[i], 1.0f);
+    btfi_moments_join(&first, &second, -1.0f);
+    const float residual = btfi_moments_residual(&first, NULL) + btfi_moments_residual(&second, NULL);
+    if (!(residual < least)) continue;
+    least = residual;
+    best = k;
+  }
+  return best;
 }
 
 /* The channel that the line of the three others misses most. */
@@ -321,7 +323,6 @@ static void keep_better(const float texels[BTFI_BLOCK_TEXELS][4], uint32_t count
 
 float btfi_bc7_encode(const float texels[BTFI_BLOCK_TEXELS][4], uint32_t counts,
                       unsigned char block[BTFI_BLOCK_BYTES]) {
-  uint32_t two[TRIED_PARTITIONS] = {0};
   bc7_block best = {.mode = 6};
   btfi_bits bits = {block, 0, true};
   float least = FLT_MAX, weight[4];
@@ -333,16 +334,13 @@ float btfi_bc7_encode(const float texels[BTFI_BLOCK_TEXELS][4], uint32_t counts,
     tried.mode = 4;
     for (tried.selection = 0; tried.selection < 2; tried.selection++)
       keep_better(texels, counts, &tried, &least, &best);
-    best_partitions(texels, weight, two);
-    for (int t = 0; t < TRIED_PARTITIONS; t++) {
-      tried = (bc7_block){.partition = two[t], .mode = 7};
-      if ((counts & ALPHA) == 0) {
-        tried.mode = 1;
-        keep_better(texels, counts, &tried, &least, &best);
-        tried.mode = 3;
-      }
+    tried = (bc7_block){.partition = best_partition(texels, weight), .mode = 7};
+    if ((counts & ALPHA) == 0) {
+      tried.mode = 1;
       keep_better(texels, counts, &tried, &least, &best);
+      tried.mode = 3;
     }
+    keep_better(texels, counts, &tried, &least, &best);
   }
   memset(block, 0, BTFI_BLOCK_BYTES);
   btfi_bits_next(&bits, best.mode + 1, 1u << best.mode);

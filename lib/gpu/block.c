@@ -21,6 +21,16 @@ const uint8_t *btfi_block_weights(uint32_t index_bits) {
   return index_bits == 2 ? two : index_bits == 3 ? three : four;
 }
 
+/* Squared distances to four entries from the `first` on. */
+static void add_distances(const float texel[4], const float weight[4], const btfi_palette *palette,
+                          uint32_t first, float distance[4]) {
+  for (int c = 0; c < 4; c++)
+    for (uint32_t k = 0; k < 4; k++) {
+      const float difference = texel[c] - palette->value[c][first + k];
+      distance[k] += weight[c] * difference * difference;
+    }
+}
+
 float btfi_block_nearest(const float texels[BTFI_BLOCK_TEXELS][4], uint32_t members, const float weight[4],
                          const btfi_palette *palette, uint8_t index[BTFI_BLOCK_TEXELS]) {
   float sum = 0.0f;
@@ -28,15 +38,15 @@ float btfi_block_nearest(const float texels[BTFI_BLOCK_TEXELS][4], uint32_t memb
     float distance[16] = {0.0f};
     uint32_t nearest = 0;
     if ((members >> i & 1u) == 0) continue;
-    for (int c = 0; c < 4; c++)
-      for (uint32_t k = 0; k < palette->count; k++) {
-        const float difference = texels[i][c] - palette->value[c][k];
-        distance[k] += weight[c] * difference * difference;
-      }
-    for (uint32_t k = 1; k < palette->count; k++)
-      if (distance[k] < distance[nearest]) nearest = k;
+    for (uint32_t first = 0; first < palette->count; first += 4)
+      add_distances(texels[i], weight, palette, first, distance + first);
+    float least = distance[0];
+    for (uint32_t k = 1; k < palette->count; k++) {
+      nearest = distance[k] < least ? k : nearest;
+      least = distance[k] < least ? distance[k] : least;
+    }
     index[i] = (uint8_t)nearest;
-    sum += distance[nearest];
+    sum += least;
   }
   return sum;
 }
@@ -52,10 +62,18 @@ void btfi_moments_add(btfi_moments *m, const float texel[4], const float weight[
   }
 }
 
+void btfi_moments_join(btfi_moments *m, const btfi_moments *other, float times) {
+  m->count += times * other->count;
+  for (int a = 0; a < 4; a++) {
+    m->sum[a] += times * other->sum[a];
+    for (int c = 0; c < 4; c++) m->product[a][c] += times * other->product[a][c];
+  }
+}
+
 /* The power method; a start along the channel of the largest variance cannot be orthogonal to the axis unless
  * the channels are uncorrelated, and then it is the axis. */
 float btfi_moments_residual(const btfi_moments *m, float axis[4]) {
-  enum { STEPS = 6 };
+  const int steps = axis != NULL ? 6 : 2;
   float covariance[4][4], direction[4] = {0.0f}, trace = 0.0f, largest = 0.0f, length = 0.0f;
   int first = 0;
   if (axis != NULL) memset(axis, 0, 4 * sizeof *axis);
@@ -67,7 +85,7 @@ float btfi_moments_residual(const btfi_moments *m, float axis[4]) {
   }
   if (!(covariance[first][first] > 0.0f)) return 0.0f;
   memcpy(direction, covariance[first], sizeof direction);
-  for (int step = 0; step < STEPS; step++) {
+  for (int step = 0; step < steps; step++) {
     float next[4] = {0.0f}, squares = 0.0f;
     for (int a = 0; a < 4; a++) squares += direction[a] * direction[a];
     length = sqrtf(squares);
@@ -77,7 +95,7 @@ float btfi_moments_residual(const btfi_moments *m, float axis[4]) {
       for (int c = 0; c < 4; c++) next[a] += covariance[c][a] * direction[c];
     largest = 0.0f;
     for (int c = 0; c < 4; c++) largest += next[c] * direction[c];
-    if (step + 1 < STEPS) memcpy(direction, next, sizeof direction);
+    if (step + 1 < steps) memcpy(direction, next, sizeof direction);
   }
   if (axis != NULL) memcpy(axis, direction, sizeof direction);
   return trace > largest ? trace - largest : 0.0f;

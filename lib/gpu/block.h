@@ -60,7 +60,10 @@ typedef struct btfi_moments {
   float count, sum[4], product[4][4];
 } btfi_moments;
 void btfi_moments_add(btfi_moments *m, const float texel[4], const float weight[4]);
-/* Squared distances from the line of the greatest variance; `axis` (may be NULL) gets its direction. */
+/* Adds `times` the sums of others. */
+void btfi_moments_join(btfi_moments *m, const btfi_moments *other, float times);
+/* Squared distances from the line of the greatest variance; `axis` gets its direction, or is NULL where an
+ * estimate will do. */
 float btfi_moments_residual(const btfi_moments *m, float axis[4]);
 
 static inline float btfi_clamp(float value, float low, float high) {
