@@ -82,6 +82,7 @@ void btfi_gpu_put_accessors(const btf_gpu_builder *b, btfi_buffer *out) {
     const bool is_filtered = (t->flags & BTF_GPU_FILTERED) != 0,
                by_hand = is_filtered && !b->texture[t->first].filtered;
     put_accessor(b, t, &by_numbers, out);
+    if (is_filtered && !by_hand) put_accessor(b, t, &by_sampler, out);
     if ((t->flags & BTF_GPU_MATERIAL) != 0 || by_hand) put_mix(t->name, out);
     if (by_hand) /* the texture is larger than the table */
       btfi_put_text(out,
@@ -89,7 +90,5 @@ void btfi_gpu_put_accessors(const btf_gpu_builder *b, btfi_buffer *out) {
                     "  return %s_mix(btf_place_of(uv, lod), slice);\n"
                     "}\n",
                     t->name, t->name);
-    else if (is_filtered)
-      put_accessor(b, t, &by_sampler, out);
   }
 }
