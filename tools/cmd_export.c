@@ -2,12 +2,15 @@
 /* cmd_export.c: textures, numbers and a shader for renderers on a GPU. */
 #include <inttypes.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "commands.h"
 #include "input.h"
 #include "json_writer.h"
 #include "safe_text.h"
 #include "viewer_page.h"
+
+enum { NOTHING_LOST = 999 /* dB, by btf_gpu_cost */ };
 
 static const char *dimension_word(uint32_t dimension) {
   return dimension == BTF_TEXTURE_3D         ? "3D"
@@ -40,14 +43,24 @@ static int print_text(const btf_gpu_export *e, const btf_gpu_cost *cost) {
     const btf_status status = btf_gpu_texture_at(e, i, &t);
     if (status != BTF_OK) return cli_fail_library(status);
     const uint64_t bytes = level_bytes(&t);
-    printf("%-24s %s, %" PRIu32 "x%" PRIu32 "x%" PRIu32 ", %" PRIu32 " level%s, %" PRIu64 " bytes\n", t.name,
+    printf("%-24s %s, %" PRIu32 "x%" PRIu32 "x%" PRIu32 ", %" PRIu32 " level%s, %" PRIu64 " bytes", t.name,
            dimension_word(t.dimension), t.width, t.height, t.depth * t.layers, t.level_count,
            t.level_count == 1 ? "" : "s", bytes);
+    if (t.psnr_db != 0.0) printf(", %s", t.texel == BTF_TEXEL_BC7_UNORM ? "BC7" : "BC6H");
+    if (t.psnr_db >= NOTHING_LOST)
+      printf(" without loss");
+    else if (t.psnr_db != 0.0)
+      printf(" at %.1f dB", t.psnr_db);
+    printf("\n");
     total += bytes;
   }
   printf("%" PRIu64
          " bytes of texels; an evaluation reads %.0f texels (%.0f bytes) and takes %.0f operations\n",
          total, cost->fetches, cost->bytes, cost->flops);
+  if (cost->psnr_db != 0.0)
+    printf("blocks save %.0f bytes (%.0f %%) and keep the components of their tables at %.1f dB\n",
+           cost->saved_bytes, 100.0 * cost->saved_bytes / (cost->saved_bytes + cost->texture_bytes),
+           cost->psnr_db);
   return cli_flush();
 }
 
@@ -92,6 +105,14 @@ static int export_model(cli *c, const input *in, const char *path, const btf_gpu
   return failed;
 }
 
+static int take_compression(const cli *c, btf_gpu_target *target) {
+  const char *word = cli_value(c, "compress");
+  if (word == NULL) return EXIT_DONE;
+  target->compress = BTF_GPU_COMPRESS_BC;
+  return strcmp(word, "bc") == 0 ? EXIT_DONE
+                                 : cli_fail(EXIT_USAGE, "--compress takes bc, not \"%.80s\"", word);
+}
+
 static int run(cli *c) {
   btf_gpu_target target = BTF_GPU_TARGET_INIT;
   const char *path = NULL;
@@ -105,6 +126,7 @@ static int run(cli *c) {
   if (!failed) failed = cli_uint32(c, "max-textures", 1, 64, &target.max_textures);
   if (!failed) failed = cli_uint32(c, "zstd", 0, 22, &zstd);
   target.layout = cli_value(c, "layout");
+  if (!failed) failed = take_compression(c, &target);
   if (!failed) failed = input_open_model(c, c->operands[0], &in);
   if (failed) return failed;
   failed = cli_has(c, "list") ? list_layouts(c, &in) : export_model(c, &in, path, &target, (int32_t)zstd);
@@ -117,6 +139,7 @@ static const cli_option options[] = {
     {"layout", 0, "NAME", "one of the codec's layouts, instead of its first", 0},
     {"list", 'l', NULL, "list the layouts of the file's codec and stop", CLI_OPTION_UNRECORDED},
     {"viewer", 0, NULL, "write index.html too: a viewer that holds the export and needs no server", 0},
+    {"compress", 0, "bc", "compress textures in blocks, BC7 and BC6H, and say what is lost", 0},
     {"zstd", 0, "N", "compress the texture files at this zstd level (default 0 = not at all)", 0},
     {"max-size", 0, "N", "most texels along a side of a 2D texture (default 8192)", 0},
     {"max-layers", 0, "N", "most layers of an array (default 256)", 0},

@@ -131,7 +131,7 @@ static btf_status put_stack(exporting *e, uint32_t stack) {
                                .slices = (uint32_t)((e->stack_maps[stack] + layer_maps - 1) / layer_maps),
                                .levels = 1,
                                .wrap = BTF_WRAP_CLAMP,
-                               .flags = is_stack ? BTF_GPU_STACK : 0u};
+                               .flags = BTF_GPU_SMOOTH | BTF_GPU_WIDE | (is_stack ? BTF_GPU_STACK : 0u)};
   BTF_TRY(e->host->gpu_table(e->out, &table, &number));
   for (uint32_t f = 0; f < s->factors; f++)
     if (!is_stack || s->factor[f].projection == stack) put_factor(e, number, f);

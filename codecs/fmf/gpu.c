@@ -77,7 +77,8 @@ static btf_status put_v(const btf_host *host, const btfi_fmf_state *s, bool filt
                                .slices = groups,
                                .levels = l->levels,
                                .wrap = s->wrap,
-                               .flags = BTF_GPU_MATERIAL | (filtered ? BTF_GPU_FILTERED : 0u)};
+                               .flags =
+                                   BTF_GPU_MATERIAL | BTF_GPU_SMOOTH | (filtered ? BTF_GPU_FILTERED : 0u)};
   uint32_t number;
   BTF_TRY(host->gpu_table(b, &table, &number));
   for (uint32_t level = 0; level < l->levels; level++) {

@@ -56,6 +56,7 @@ static btf_status put_maps(const exporting *e, const btf_gpu_target *target) {
   table.width = p->width;
   table.height = p->height;
   table.slices = p->layers;
+  table.flags = BTF_GPU_SMOOTH;
   BTF_TRY(e->host->gpu_table(e->b, &table, &weights));
   for (uint32_t i = 0; i < p->layers; i++) layers[i] = e->host->gpu_slice(e->b, weights, 0, i);
   btfi_laplacian_pack(e->s, p, e->host->gpu_slice(e->b, eigen, 0, 0), layers);
@@ -121,7 +122,7 @@ static btf_status put_arrays(const exporting *e) {
   table.slices = e->packing.planes;
   table.levels = s->grid.levels;
   table.wrap = s->grid.wrap;
-  table.flags = e->filtered ? BTF_GPU_FILTERED : 0u;
+  table.flags = BTF_GPU_SMOOTH | (e->filtered ? BTF_GPU_FILTERED : 0u);
   BTF_TRY(e->host->gpu_table(e->b, &table, &weights));
   for (uint32_t k = 0; k < s->head.levels; k++)
     for (uint32_t c = 0, value = 0; c < LAPLACIAN_CHANNELS; c++)

@@ -69,8 +69,8 @@ static btf_status put_coefficients(exporting *e) {
   const btfi_lpca_layout *l = &e->s->layout;
   const uint32_t value_bytes = l->weight_bytes;
   uint32_t number;
-  BTF_TRY(table(e, "btf_coefficients", e->value_texel, l->width, l->height, e->groups, BTF_GPU_MATERIAL,
-                &number));
+  BTF_TRY(table(e, "btf_coefficients", e->value_texel, l->width, l->height, e->groups,
+                BTF_GPU_MATERIAL | BTF_GPU_SMOOTH, &number));
   for (uint32_t level = 0; level < l->levels; level++)
     for (uint32_t g = 0; g < e->groups; g++) {
       const uint32_t values = l->components - 4 * g < 4 ? l->components - 4 * g : 4;
@@ -141,7 +141,7 @@ static btf_status put_means(exporting *e) {
   const btfi_lpca_layout *l = &e->s->layout;
   uint32_t number;
   BTF_TRY(table(e, "btf_mean", e->mean_texel, l->lights, l->views, l->clusters,
-                e->layout == BYTES ? BTF_GPU_STACK : 0u, &number));
+                BTF_GPU_SMOOTH | (e->layout == BYTES ? BTF_GPU_STACK : 0u), &number));
   for (uint32_t k = 0; k < l->clusters; k++) put_image(e, k, 0, 0, e->host->gpu_slice(e->out, number, 0, k));
   return BTF_OK;
 }
@@ -155,7 +155,7 @@ static btf_status put_factors(exporting *e) {
     uint32_t number;
     name[sizeof name - 2] = (char)('0' + c);
     BTF_TRY(table(e, name, e->factor_texel, l->lights, l->views, l->clusters * together * e->groups,
-                  e->layout == BYTES ? BTF_GPU_STACK : 0u, &number));
+                  BTF_GPU_SMOOTH | (e->layout == BYTES ? BTF_GPU_STACK : 0u), &number));
     for (uint32_t k = 0; k < l->clusters; k++)
       for (uint32_t i = 0; i < together; i++)
         for (uint32_t g = 0; g < e->groups; g++)

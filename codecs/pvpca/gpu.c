@@ -130,7 +130,8 @@ static btf_status put_textures(exporting *e, uint32_t slices) {
                                .slices = slices > 0 ? slices : 1,
                                .levels = l->levels,
                                .wrap = e->s->wrap,
-                               .flags = BTF_GPU_MATERIAL | (e->filtered ? BTF_GPU_FILTERED : 0u)};
+                               .flags =
+                                   BTF_GPU_MATERIAL | BTF_GPU_SMOOTH | (e->filtered ? BTF_GPU_FILTERED : 0u)};
   uint32_t number;
   BTF_TRY(e->host->gpu_table(e->out, &table, &number));
   for (uint32_t level = 0; level < l->levels; level++) {

@@ -27,11 +27,14 @@ enum {
   BTF_TEXEL_RGBA16_FLOAT = 97,
   BTF_TEXEL_R32_FLOAT = 100,
   BTF_TEXEL_RG32_FLOAT = 103,
-  BTF_TEXEL_RGBA32_FLOAT = 109
+  BTF_TEXEL_RGBA32_FLOAT = 109,
+  BTF_TEXEL_BC6H_UFLOAT = 143, /**< these three in blocks of 4 x 4 texels of 16 bytes */
+  BTF_TEXEL_BC6H_SFLOAT = 144,
+  BTF_TEXEL_BC7_UNORM = 145
 };
 
-/** One level of a texture: slices (layers, or depth) of rows of texels without gaps, row 0 the one of the smallest v.
- *  FROZEN. */
+/** One level of a texture: slices (layers, or depth) of rows of texels, or of rows of blocks, without gaps, row 0 the one
+ *  of the smallest v. The blocks at the end of a size that is no multiple of 4 are whole. FROZEN. */
 typedef struct btf_gpu_level {
   const void *data;
   uint64_t size;
@@ -48,9 +51,10 @@ typedef struct btf_gpu_texture {
   uint32_t min_filter, mag_filter; /**< BTF_FILTER_*; min_filter within a level and between levels */
   uint32_t wrap[3];                /**< BTF_WRAP_* */
   uint32_t binding, reserved;
+  double psnr_db; /**< of compressed texels, as btf_gpu_cost has it for all; 0 = not compressed */
 } btf_gpu_texture;
 #define BTF_GPU_TEXTURE_INIT                                                                                 \
-  { sizeof(btf_gpu_texture), NULL, NULL, 0, 0, 0, 0, 0, 0, 0, 0, 0, {0, 0, 0}, 0, 0 }
+  { sizeof(btf_gpu_texture), NULL, NULL, 0, 0, 0, 0, 0, 0, 0, 0, 0, {0, 0, 0}, 0, 0, 0.0 }
 
 enum {
   BTF_UNIFORM_FLOAT = 1,
@@ -69,6 +73,11 @@ typedef struct btf_gpu_uniform {
   uint32_t reserved;
 } btf_gpu_uniform;
 
+/** Block compression: BC7 for bytes and for summands, BC6H for halves and floats of a wide range, both of which the
+ *  interface must have (OpenGL 4.2, EXT_texture_compression_bptc, Vulkan's textureCompressionBC). Only tables that bear
+ *  it are compressed, and only where that saves bytes; directions, indices and scales stay as they are. */
+enum { BTF_GPU_COMPRESS_NONE = 0, BTF_GPU_COMPRESS_BC = 1 };
+
 /** What the graphics interface can take. All 0 = what every WebGL 2 and desktop driver takes: 8192, 2048, 256, 16. */
 typedef struct btf_gpu_target {
   size_t struct_size;
@@ -76,9 +85,11 @@ typedef struct btf_gpu_target {
   const char *layout;
   uint32_t max_2d, max_3d, max_layers; /**< texels along a side of 2D and 3D textures, layers of an array */
   uint32_t max_textures;               /**< samplers in one shader */
+  uint32_t compress;                   /**< BTF_GPU_COMPRESS_* */
+  uint32_t reserved;                   /**< must be 0 */
 } btf_gpu_target;
 #define BTF_GPU_TARGET_INIT                                                                                  \
-  { sizeof(btf_gpu_target), NULL, 0, 0, 0, 0 }
+  { sizeof(btf_gpu_target), NULL, 0, 0, 0, 0, 0, 0 }
 
 /** What one evaluation costs the shader: at a whole level of detail, with interpolation (Mueller et al. 2005, sect.
  *  5.6). */
@@ -90,9 +101,15 @@ typedef struct btf_gpu_cost {
   /** Largest difference from btf_model_eval that rounding to the layout's texels can make, in stored values; 0 where the
    *  texels hold what the model holds. */
   double rounding;
+  /** Of all textures and levels, and what compression took off. */
+  double texture_bytes, saved_bytes;
+  /** What compression costs, measured: -10 log10 of the mean, over the components of all compressed tables, of a
+   *  component's mean squared error by the square of its largest magnitude. 0 = nothing is compressed, 999 = nothing is
+   *  lost. `rounding` does not count it; fetches, bytes and flops are those without compression. */
+  double psnr_db;
 } btf_gpu_cost;
 #define BTF_GPU_COST_INIT                                                                                    \
-  { sizeof(btf_gpu_cost), 0.0, 0.0, 0.0, 0.0 }
+  { sizeof(btf_gpu_cost), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 }
 
 /** Layouts that a codec exports; i from 0. Name and summary live as long as the codec; NULL where there is none. The
  *  first is the default. Threads: const. */

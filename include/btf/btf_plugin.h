@@ -112,7 +112,12 @@ enum {
   /** The sampler filters within a slice, and between levels. */
   BTF_GPU_FILTERED = 1u << 1,
   /** Its texels and levels are those of the material. */
-  BTF_GPU_MATERIAL = 1u << 2
+  BTF_GPU_MATERIAL = 1u << 2,
+  /** Numbers that are multiplied, added and blended, so that small errors of texels make small errors of results: the
+   *  table may be compressed if the target wants it (as array layers then, whatever BTF_GPU_STACK says, and padded). */
+  BTF_GPU_SMOOTH = 1u << 3,
+  /** With BTF_GPU_SMOOTH: the relative error of values counts, as in factors of products. */
+  BTF_GPU_WIDE = 1u << 4
 };
 /** Texels that the shader reads by their numbers: `levels` times `slices` images of width x height, halved as
  *  btf_level_pair says. What exceeds the layers of one texture becomes several. In the shader, with `name` btf_u:

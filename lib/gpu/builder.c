@@ -8,11 +8,13 @@
 #include <btf/btf_sampling.h>
 
 static const btfi_texel_format formats[] = {
-    {BTF_TEXEL_R8_UNORM, 1, 1, false, false},    {BTF_TEXEL_RG8_UNORM, 2, 1, false, false},
-    {BTF_TEXEL_RGBA8_UNORM, 4, 1, false, false}, {BTF_TEXEL_RGBA8_SNORM, 4, 1, false, true},
-    {BTF_TEXEL_R16_FLOAT, 1, 2, true, true},     {BTF_TEXEL_RG16_FLOAT, 2, 2, true, true},
-    {BTF_TEXEL_RGBA16_FLOAT, 4, 2, true, true},  {BTF_TEXEL_R32_FLOAT, 1, 4, true, true},
-    {BTF_TEXEL_RG32_FLOAT, 2, 4, true, true},    {BTF_TEXEL_RGBA32_FLOAT, 4, 4, true, true},
+    {BTF_TEXEL_R8_UNORM, 1, 1, false, false, 1},    {BTF_TEXEL_RG8_UNORM, 2, 1, false, false, 1},
+    {BTF_TEXEL_RGBA8_UNORM, 4, 1, false, false, 1}, {BTF_TEXEL_RGBA8_SNORM, 4, 1, false, true, 1},
+    {BTF_TEXEL_R16_FLOAT, 1, 2, true, true, 1},     {BTF_TEXEL_RG16_FLOAT, 2, 2, true, true, 1},
+    {BTF_TEXEL_RGBA16_FLOAT, 4, 2, true, true, 1},  {BTF_TEXEL_R32_FLOAT, 1, 4, true, true, 1},
+    {BTF_TEXEL_RG32_FLOAT, 2, 4, true, true, 1},    {BTF_TEXEL_RGBA32_FLOAT, 4, 4, true, true, 1},
+    {BTF_TEXEL_BC6H_UFLOAT, 1, 16, true, false, 4}, {BTF_TEXEL_BC6H_SFLOAT, 1, 16, true, true, 4},
+    {BTF_TEXEL_BC7_UNORM, 1, 16, false, false, 4},
 };
 
 const btfi_texel_format *btfi_texel_format_of(uint32_t texel) {
@@ -42,9 +44,11 @@ static btf_status too_large(const btf_gpu_builder *b, const char *name, const ch
 static btf_status check_table(btf_gpu_builder *b, const btf_gpu_table *t) {
   const uint32_t side = (t->flags & BTF_GPU_STACK) != 0 ? b->target.max_3d : b->target.max_2d;
   const uint32_t most_levels = (t->flags & BTF_GPU_STACK) != 0 ? 1 : 32;
-  if (btfi_texel_format_of(t->texel) == NULL || t->width == 0 || t->height == 0 || t->slices == 0 ||
+  const btfi_texel_format *format = btfi_texel_format_of(t->texel);
+  if (format == NULL || format->side > 1 || t->width == 0 || t->height == 0 || t->slices == 0 ||
       t->levels == 0 || t->levels > most_levels ||
-      (t->flags & ~(uint32_t)(BTF_GPU_STACK | BTF_GPU_FILTERED | BTF_GPU_MATERIAL)) != 0 ||
+      (t->flags & ~(uint32_t)(BTF_GPU_STACK | BTF_GPU_FILTERED | BTF_GPU_MATERIAL | BTF_GPU_SMOOTH |
+                              BTF_GPU_WIDE)) != 0 ||
       t->reserved != 0 || (t->wrap != BTF_WRAP_PERIODIC && t->wrap != BTF_WRAP_CLAMP))
     return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: table %s makes no sense", t->name);
   if (t->width > side || t->height > side)
@@ -67,7 +71,9 @@ static bool measure_levels(btfi_gpu_texture *texture, uint64_t *total) {
     level->height = btf_sampling_level_size(texture->height, l);
     level->depth = texture->slices;
     level->reserved = 0;
-    if (!btfi_mul(level->width, level->height, &level->size) ||
+    /* Pixels or blocks of them. */
+    if (!btfi_mul((level->width + format->side - 1) / format->side,
+                  (level->height + format->side - 1) / format->side, &level->size) ||
         !btfi_mul(level->size, level->depth, &level->size) ||
         !btfi_mul(level->size, (uint64_t)format->channels * format->bytes, &level->size) ||
         !btfi_add(level->size, 63, &padded) || !btfi_add(*total, padded & ~(uint64_t)63, total))
@@ -76,101 +82,60 @@ static bool measure_levels(btfi_gpu_texture *texture, uint64_t *total) {
   return true;
 }
 
-/* `name` fits: take_name left room for what pages append. */
-static btf_status make_texture(btf_gpu_builder *b, const btf_gpu_table *t, const char *name,
-                               uint32_t slices) {
-  if (b->texture_count == b->target.max_textures || b->texture_count == BTFI_GPU_TEXTURES)
-    return btfi_fail(
-        b->ctx, BTF_E_LIMIT,
-        "GPU export: with %s there would be %u textures, more than the target's %u; a model with "
-        "fewer components, or a target with more layers, would do",
-        name, (unsigned)b->texture_count + 1, (unsigned)b->texture_count);
-  btfi_gpu_texture *texture = &b->texture[b->texture_count];
+btf_status btfi_gpu_texture_allocate(btf_context *ctx, btfi_gpu_texture *texture) {
   uint64_t total, offset = 0;
-  memcpy(texture->name, name, strlen(name) + 1);
-  texture->dimension = (t->flags & BTF_GPU_STACK) != 0 ? BTF_TEXTURE_3D
-                       : t->slices > 1                 ? BTF_TEXTURE_2D_ARRAY
-                                                       : BTF_TEXTURE_2D;
-  texture->texel = t->texel;
-  texture->width = t->width;
-  texture->height = t->height;
-  texture->slices = slices;
-  texture->level_count = t->levels;
-  texture->wrap = t->wrap;
-  texture->filtered = (t->flags & BTF_GPU_FILTERED) != 0;
-  texture->levels = btfi_calloc(b->ctx, t->levels, sizeof *texture->levels);
+  texture->levels = btfi_calloc(ctx, texture->level_count, sizeof *texture->levels);
   if (texture->levels == NULL) return btfi_alloc_status();
-  b->texture_count++; /* from here on destroyed with the builder */
   if (!measure_levels(texture, &total))
-    return btfi_fail(b->ctx, BTF_E_LIMIT, "GPU export: %s is beyond any memory", name);
-  texture->data = btfi_calloc(b->ctx, total, 1);
+    return btfi_fail(ctx, BTF_E_LIMIT, "GPU export: %s is beyond any memory", texture->name);
+  texture->data = btfi_calloc(ctx, total, 1);
   if (texture->data == NULL) return btfi_alloc_status();
-  for (uint32_t l = 0; l < t->levels; l++) {
+  for (uint32_t l = 0; l < texture->level_count; l++) {
     texture->levels[l].data = texture->data + offset;
     offset += (texture->levels[l].size + 63) & ~(uint64_t)63;
   }
   return BTF_OK;
 }
 
-/* ---- the functions that read a table ---- */
-
-static void put_fetch(btfi_buffer *out, const btfi_gpu_texture *texture, const char *slice) {
-  if (texture->dimension == BTF_TEXTURE_2D)
-    btfi_put_text(out, "return texelFetch(%s, ivec2(x, y), level);\n", texture->name);
-  else
-    btfi_put_text(out, "return texelFetch(%s, ivec3(x, y, %s), level);\n", texture->name, slice);
+void btfi_gpu_texture_free(btf_context *ctx, btfi_gpu_texture *texture) {
+  btfi_free(ctx, texture->levels);
+  btfi_free(ctx, texture->data);
 }
 
-static void put_filtered(btfi_buffer *out, const btfi_gpu_texture *texture, const char *slice) {
-  if (texture->dimension == BTF_TEXTURE_2D)
-    btfi_put_text(out, "return textureLod(%s, uv, lod);\n", texture->name);
-  else if (texture->dimension == BTF_TEXTURE_2D_ARRAY)
-    btfi_put_text(out, "return textureLod(%s, vec3(uv, float(%s)), lod);\n", texture->name, slice);
-  else /* a slice's centre, where its neighbours have no weight (Suykens et al. 2003, sect. 6) */
-    btfi_put_text(out, "return textureLod(%s, vec3(uv, (float(%s) + 0.5) / %u.0), lod);\n", texture->name,
-                  slice, (unsigned)texture->slices);
+void btfi_gpu_page_name(const btfi_gpu_pages *table, uint32_t page, char out[BTFI_GPU_NAME]) {
+  /* The name fits: take_name left room for what pages append. */
+  snprintf(out, BTFI_GPU_NAME, table->pages > 1 ? "%.48s_map%u" : "%.48s_map", table->name, (unsigned)page);
 }
 
-static void put_accessor(btf_gpu_builder *b, const btf_gpu_table *t, const btfi_gpu_pages *pages,
-                         bool filtered) {
-  btfi_buffer *out = &b->accessor;
-  if (filtered)
-    btfi_put_text(out, "vec4 %s_at(vec2 uv, int slice, float lod) {\n", t->name);
-  else
-    btfi_put_text(out, "vec4 %s(int x, int y, int slice, int level) {\n", t->name);
-  for (uint32_t p = 0; p < pages->pages; p++) {
-    char slice[64] = "slice";
-    if (p > 0) snprintf(slice, sizeof slice, "slice - %u", (unsigned)(p * pages->page));
-    if (p + 1 < pages->pages)
-      btfi_put_text(out, "  if (slice < %u) ", (unsigned)((p + 1) * pages->page));
-    else
-      btfi_put_text(out, "  ");
-    if (filtered)
-      put_filtered(out, &b->texture[pages->first + p], slice);
-    else
-      put_fetch(out, &b->texture[pages->first + p], slice);
-  }
-  btfi_put_text(out, "}\n");
-}
-
-/* The blend of a table's texels around a position. */
-static void put_mix(btf_gpu_builder *b, const char *name) {
-  static const char corners[4][2] = {{'x', 'x'}, {'y', 'x'}, {'x', 'y'}, {'y', 'y'}};
-  static const char weights[4] = {'x', 'y', 'z', 'w'};
-  btfi_put_text(&b->accessor, "vec4 %s_mix(btf_place p, int slice) {\n  vec4 sum = vec4(0.0);\n", name);
-  for (int level = 0; level < 2; level++) {
-    if (level == 1) btfi_put_text(&b->accessor, "  if (p.share > 0.0) {\n");
-    for (int i = 0; i < 4; i++)
-      btfi_put_text(&b->accessor, "  sum += p.weight%d.%c * %s(p.x%d.%c, p.y%d.%c, slice, p.level.%c);\n",
-                    level, weights[i], name, level, corners[i][0], level, corners[i][1],
-                    level == 0 ? 'x' : 'y');
-  }
-  btfi_put_text(&b->accessor, "  }\n  return sum;\n}\n");
+static btf_status make_texture(btf_gpu_builder *b, const btf_gpu_table *t, const btfi_gpu_pages *pages,
+                               uint32_t page) {
+  btfi_gpu_texture *texture = &b->texture[b->texture_count];
+  char name[BTFI_GPU_NAME];
+  btfi_gpu_page_name(pages, page, name);
+  if (b->texture_count == b->target.max_textures || b->texture_count == BTFI_GPU_TEXTURES)
+    return btfi_fail(
+        b->ctx, BTF_E_LIMIT,
+        "GPU export: with %s there would be %u textures, more than the target's %u; a model with "
+        "fewer components, or a target with more layers, would do",
+        name, (unsigned)b->texture_count + 1, (unsigned)b->texture_count);
+  memcpy(texture->name, name, sizeof name);
+  texture->dimension = (t->flags & BTF_GPU_STACK) != 0 ? BTF_TEXTURE_3D
+                       : t->slices > 1                 ? BTF_TEXTURE_2D_ARRAY
+                                                       : BTF_TEXTURE_2D;
+  texture->texel = t->texel;
+  texture->width = t->width;
+  texture->height = t->height;
+  texture->slices = BTFI_MIN(pages->page, t->slices - page * pages->page);
+  texture->level_count = t->levels;
+  texture->wrap = t->wrap;
+  texture->filtered = (t->flags & BTF_GPU_FILTERED) != 0;
+  b->texture_count++; /* from here on destroyed with the builder */
+  return btfi_gpu_texture_allocate(b->ctx, texture);
 }
 
 btf_status btfi_gpu_table(btf_gpu_builder *b, const btf_gpu_table *user, uint32_t *number) {
   btf_gpu_table t;
-  char name[BTFI_GPU_NAME], page_name[BTFI_GPU_NAME + 16];
+  char name[BTFI_GPU_NAME];
   *number = UINT32_MAX;
   BTFI_TRY(btfi_copy_in(b->ctx, "btf_gpu_table", &t, sizeof t, BTFI_SIZE_TO(btf_gpu_table, reserved), user));
   BTFI_TRY(take_name(b, t.name, name));
@@ -179,18 +144,13 @@ btf_status btfi_gpu_table(btf_gpu_builder *b, const btf_gpu_table *user, uint32_
   if (b->table_count == BTFI_GPU_TEXTURES)
     return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: more than %d tables", BTFI_GPU_TEXTURES);
   btfi_gpu_pages *pages = &b->table[b->table_count];
-  pages->first = b->texture_count;
+  *pages = (btfi_gpu_pages){.first = b->texture_count, .flags = t.flags, .slices = t.slices};
+  memcpy(pages->name, name, sizeof name);
   pages->page = (t.flags & BTF_GPU_STACK) != 0 ? t.slices : BTFI_MIN(t.slices, b->target.max_layers);
   pages->pages = (t.slices + pages->page - 1) / pages->page;
-  for (uint32_t p = 0; p < pages->pages; p++) {
-    snprintf(page_name, sizeof page_name, pages->pages > 1 ? "%s_map%u" : "%s_map", name, (unsigned)p);
-    BTFI_TRY(make_texture(b, &t, page_name, BTFI_MIN(pages->page, t.slices - p * pages->page)));
-  }
-  put_accessor(b, &t, pages, false);
-  if ((t.flags & BTF_GPU_FILTERED) != 0) put_accessor(b, &t, pages, true);
-  if ((t.flags & BTF_GPU_MATERIAL) != 0) put_mix(b, name);
+  for (uint32_t p = 0; p < pages->pages; p++) BTFI_TRY(make_texture(b, &t, pages, p));
   *number = b->table_count++;
-  return btfi_buffer_status(&b->accessor);
+  return BTF_OK;
 }
 
 void *btfi_gpu_slice(btf_gpu_builder *b, uint32_t number, uint32_t level, uint32_t slice) {

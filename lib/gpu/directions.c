@@ -22,7 +22,8 @@ enum {
 /* ---- as facets ---- */
 
 /* Of a search that ends where it begins: the map, and three texels of the facet. */
-static const btf_gpu_cost search = {sizeof search, 4.0, 4.0 + 3.0 * 16.0, 30.0, 0.0};
+static const btf_gpu_cost search = {
+    .struct_size = sizeof search, .fetches = 4.0, .bytes = 4.0 + 3.0 * 16.0, .flops = 30.0};
 
 static void put_walk(btfi_buffer *out, const char *n) {
   btfi_put_text(out, "void btf_locate_%s(vec3 direction, out ivec3 index, out vec3 weight) {\n", n);
@@ -75,7 +76,7 @@ static btf_status put_facets(btf_gpu_builder *b, const char *name, const btf_dir
   table.width = table.height = MAP;
   BTFI_TRY(btfi_gpu_table(b, &table, &number));
   btfi_dirset_facet_map(set, MAP, btfi_gpu_slice(b, number, 0, 0));
-  put_walk(&b->accessor, name);
+  put_walk(&b->search, name);
   return BTF_OK;
 }
 
@@ -121,7 +122,7 @@ static btf_status put_raster(btf_gpu_builder *b, const char *name, const btf_dir
   table.texel = BTF_TEXEL_RGBA16_FLOAT;
   BTFI_TRY(btfi_gpu_table(b, &table, &number));
   put_weights(at, btfi_gpu_slice(b, number, 0, 0));
-  btfi_put_text(&b->accessor,
+  btfi_put_text(&b->search,
                 "void btf_locate_%s(vec3 direction, out ivec3 index, out vec3 weight) {\n"
                 "  vec2 p = btf_parabolic(direction);\n"
                 "  ivec2 cell = clamp(ivec2((p * 0.5 + 0.5) * %d.0), ivec2(0), ivec2(%d));\n"
@@ -184,19 +185,19 @@ static btf_status put_set(btf_gpu_builder *b, const char *name, const btf_dirset
     return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: a direction set needs a name of 1 to 24 letters");
   for (uint32_t i = 0; i < b->set_count; i++) {
     if (!btfi_dirset_equal(b->set[i], set)) continue;
-    btfi_put_text(&b->accessor,
+    btfi_put_text(&b->search,
                   "void btf_locate_%s(vec3 direction, out ivec3 index, out vec3 weight) {\n"
                   "  btf_locate_%s(direction, index, weight);\n"
                   "}\n",
                   name, b->set_name[i]);
-    return btfi_buffer_status(&b->accessor);
+    return btfi_buffer_status(&b->search);
   }
   if (b->set_count == sizeof b->set / sizeof *b->set)
     return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: more than two direction sets");
   BTFI_TRY(put(b, name, set));
   b->set[b->set_count] = set;
   snprintf(b->set_name[b->set_count++], BTFI_GPU_NAME, "%s", name);
-  return btfi_buffer_status(&b->accessor);
+  return btfi_buffer_status(&b->search);
 }
 
 btf_status btfi_gpu_directions(btf_gpu_builder *b, const char *name, const btf_dirset *set) {
@@ -206,7 +207,7 @@ btf_status btfi_gpu_directions(btf_gpu_builder *b, const char *name, const btf_d
 
 btf_status btfi_gpu_direction_maps(btf_gpu_builder *b, const char *name, const btf_dirset *set,
                                    double *shift) {
-  btf_gpu_cost look_up = {sizeof look_up, 2.0, 8.0, 15.0, 0.0};
+  btf_gpu_cost look_up = {.struct_size = sizeof look_up, .fetches = 2.0, .bytes = 8.0, .flops = 15.0};
   look_up.bytes += samples_texel(set) == BTF_TEXEL_RGBA8_UNORM ? 4.0 : 16.0;
   btfi_gpu_cost(b, &look_up);
   BTFI_TRY(find_shift(b, set, shift));

@@ -15,6 +15,8 @@ static btf_status take_target(btf_context *ctx, const btf_gpu_target *user, btf_
   if (user != NULL)
     BTFI_TRY(btfi_copy_in(ctx, "btf_gpu_target", out, sizeof *out, BTFI_SIZE_TO(btf_gpu_target, max_textures),
                           user));
+  if (out->compress > BTF_GPU_COMPRESS_BC || out->reserved != 0)
+    return btfi_fail(ctx, BTF_E_INVALID_ARG, "btf_gpu_target: compress must be 0 or BTF_GPU_COMPRESS_BC");
   out->max_2d = or_default(out->max_2d, 8192);
   out->max_3d = or_default(out->max_3d, 2048);
   out->max_layers = or_default(out->max_layers, 256);
@@ -49,12 +51,9 @@ const char *btf_codec_gpu_layout(const btf_codec *codec, uint32_t i, const char 
 
 static void free_builder(btf_gpu_builder *b) {
   if (b == NULL) return;
-  for (uint32_t i = 0; i < b->texture_count; i++) {
-    btfi_free(b->ctx, b->texture[i].levels);
-    btfi_free(b->ctx, b->texture[i].data);
-  }
+  for (uint32_t i = 0; i < b->texture_count; i++) btfi_gpu_texture_free(b->ctx, &b->texture[i]);
   btfi_buffer_free(&b->source);
-  btfi_buffer_free(&b->accessor);
+  btfi_buffer_free(&b->search);
   btfi_free(b->ctx, b);
 }
 
@@ -67,7 +66,7 @@ static btf_status begin_builder(btf_context *ctx, const btf_model *model, const 
   b->target = *target;
   b->cost = (btf_gpu_cost)BTF_GPU_COST_INIT;
   btfi_buffer_init(&b->source, ctx);
-  btfi_buffer_init(&b->accessor, ctx);
+  btfi_buffer_init(&b->search, ctx);
   return btfi_gpu_uniform(b, "btf_size", BTF_UNIFORM_VEC4, 1, size);
 }
 
@@ -96,6 +95,12 @@ static btf_status put_texts(btf_gpu_export *e, const btf_model *model, const cha
   return status;
 }
 
+static void count_bytes(btf_gpu_builder *b) {
+  for (uint32_t i = 0; i < b->texture_count; i++)
+    for (uint32_t l = 0; l < b->texture[i].level_count; l++)
+      b->cost.texture_bytes += (double)b->texture[i].levels[l].size;
+}
+
 static btf_status build(btf_gpu_export *e, const btf_model *model, const btf_gpu_target *user) {
   const btf_codec_vtbl *v = model->vtbl;
   btf_gpu_target target;
@@ -105,8 +110,10 @@ static btf_status build(btf_gpu_export *e, const btf_model *model, const btf_gpu
   target.layout = v->gpu_layouts[layout]->name;
   BTFI_TRY(begin_builder(e->ctx, model, &target, &e->built));
   BTFI_TRY(v->gpu(btfi_host(), e->ctx, model->state, &model->shape, layout, &target, e->built));
-  BTFI_TRY(btfi_buffer_status(&e->built->accessor));
+  BTFI_TRY(btfi_buffer_status(&e->built->search));
   BTFI_TRY(btfi_buffer_status(&e->built->source));
+  if (target.compress == BTF_GPU_COMPRESS_BC) BTFI_TRY(btfi_gpu_compress(e->built));
+  count_bytes(e->built);
   return put_texts(e, model, target.layout);
 }
 
@@ -162,7 +169,8 @@ btf_status btf_gpu_texture_at(const btf_gpu_export *e, uint32_t i, btf_gpu_textu
                                    .min_filter = filter,
                                    .mag_filter = filter,
                                    .wrap = {t->wrap, t->wrap, BTF_WRAP_CLAMP},
-                                   .binding = i + 1};
+                                   .binding = i + 1,
+                                   .psnr_db = t->psnr_db};
   return btfi_copy_out(e->ctx, "btf_gpu_texture", io, BTFI_SIZE_TO(btf_gpu_texture, reserved), &texture,
                        sizeof texture);
 }

@@ -142,7 +142,8 @@ void btfi_gpu_put_glsl(const btf_gpu_builder *b, uint32_t wrap, uint32_t channel
                                        : "#define BTF_WRAPPED(u) fract(u)\n"
                                          "#define BTF_WRAP(i, size) ((i + size) % size)\n");
   btfi_put_text(out, "%s%s%s%s", finite, directions, powers, texels);
-  btfi_put_bytes(out, b->accessor.data, b->accessor.size);
+  btfi_gpu_put_accessors(b, out);
+  btfi_put_bytes(out, b->search.data, b->search.size);
   btfi_put_bytes(out, b->source.data, b->source.size);
   btfi_put_text(
       out,

@@ -13,6 +13,8 @@ enum {
   SCHEME_NONE = 0,
   SCHEME_ZSTD = 2,
   MODEL_RGBSDA = 1,
+  MODEL_BC6H = 133,
+  MODEL_BC7 = 134,
   TRANSFER_LINEAR = 1,
   QUALIFIER_SIGNED = 0x40,
   QUALIFIER_FLOAT = 0x80
@@ -36,9 +38,9 @@ static void pad_to(btfi_buffer *b, uint64_t multiple) {
 
 static void put_channel(btfi_buffer *b, const btfi_texel_format *f, uint32_t channel) {
   static const uint8_t ids[4] = {0, 1, 2, 15}; /* red, green, blue, alpha */
-  uint32_t lower = 0, upper = 255;
+  uint32_t lower = 0, upper = f->side > 1 ? UINT32_MAX : 255;
   if (f->is_float) {
-    lower = 0xbf800000u; /* -1 and 1 as floats */
+    lower = f->is_signed ? 0xbf800000u : 0; /* -1 and 1 as floats */
     upper = 0x3f800000u;
   } else if (f->is_signed) {
     lower = (uint32_t)-127;
@@ -59,11 +61,11 @@ static void put_descriptor(btfi_buffer *b, const btfi_texel_format *f) {
   btfi_put_u32(b, 0); /* Khronos, basic */
   put_u16(b, 2);      /* version */
   put_u16(b, block);
-  btfi_put_u8(b, MODEL_RGBSDA);
+  btfi_put_u8(b, f->side == 1 ? MODEL_RGBSDA : f->is_float ? MODEL_BC6H : MODEL_BC7);
   btfi_put_u8(b, 0); /* primaries: not specified */
   btfi_put_u8(b, TRANSFER_LINEAR);
-  btfi_put_u8(b, 0);  /* alpha is not premultiplied */
-  btfi_put_u32(b, 0); /* blocks of 1 x 1 x 1 x 1 */
+  btfi_put_u8(b, 0);                        /* alpha is not premultiplied */
+  btfi_put_u32(b, (f->side - 1) * 0x0101u); /* sides of a block, less one */
   btfi_put_u8(b, (uint8_t)(f->channels * f->bytes));
   for (int plane = 1; plane < 8; plane++) btfi_put_u8(b, 0);
   for (uint32_t c = 0; c < f->channels; c++) put_channel(b, f, c);
@@ -124,7 +126,7 @@ static void put_header(btfi_buffer *b, const btfi_gpu_texture *t, int32_t zstd_l
   const btfi_texel_format *f = btfi_texel_format_of(t->texel);
   btfi_put_bytes(b, identifier, sizeof identifier);
   btfi_put_u32(b, t->texel);
-  btfi_put_u32(b, f->bytes);
+  btfi_put_u32(b, f->side > 1 ? 1 : f->bytes);
   btfi_put_u32(b, t->width);
   btfi_put_u32(b, t->height);
   btfi_put_u32(b, t->dimension == BTF_TEXTURE_3D ? t->slices : 0);

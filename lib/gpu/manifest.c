@@ -28,6 +28,7 @@ static void put_texture(btfi_buffer *b, const btf_gpu_texture *t) {
                 (unsigned)t->level_count);
   btfi_put_text(b, " \"min_filter\": \"%s\", \"mag_filter\": \"%s\", \"wrap\": [\"%s\", \"%s\", \"clamp\"],",
                 filter, filter, wrap, wrap);
+  if (t->psnr_db != 0.0) btfi_put_text(b, " \"psnr_db\": %.4g,", t->psnr_db);
   btfi_put_text(b, " \"binding\": %u}", (unsigned)t->binding);
 }
 
@@ -92,8 +93,13 @@ void btfi_gpu_put_manifest(const btf_gpu_export *e, const btf_model_info *model,
   if (model->color_space != NULL && model->color_space[0] != '\0')
     put_pair(b, "color_space", model->color_space, ",\n  ");
   put_pair(b, "shader", "btf.glsl", ",\n");
-  btfi_put_text(b, "  \"cost\": {\"fetches\": %.9g, \"bytes\": %.9g, \"flops\": %.9g, \"rounding\": %.9g},\n",
+  btfi_put_text(b, "  \"cost\": {\"fetches\": %.9g, \"bytes\": %.9g, \"flops\": %.9g, \"rounding\": %.9g,\n",
                 built->cost.fetches, built->cost.bytes, built->cost.flops, built->cost.rounding);
+  btfi_put_text(b, "    \"texture_bytes\": %.15g", built->cost.texture_bytes);
+  if (built->cost.psnr_db != 0.0)
+    btfi_put_text(b, ", \"saved_bytes\": %.15g, \"psnr_db\": %.4g", built->cost.saved_bytes,
+                  built->cost.psnr_db);
+  btfi_put_text(b, "},\n");
   put_textures(b, e);
   btfi_put_text(b, "  \"uniform_block\": {\"name\": \"btf_uniforms\", \"binding\": 0, \"size\": %u},\n",
                 (unsigned)((built->block_size + 15) & ~15u));

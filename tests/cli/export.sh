@@ -39,6 +39,17 @@ else
     grep -qE '^import |<link rel="stylesheet"|src="src/' exported/index.html && fail "the page needs other files" || pass
     run export export.btfz -o exported --quiet
     [ ! -e exported/index.html ] && pass || fail "the page of an earlier export goes with it"
+    run export export.btfz -o packed --compress zip
+    expect "an unknown compression" 1 "--compress takes bc"
+    run export export.btfz -o packed --layout rgba --compress bc
+    expect "export --compress" 0 "btf_v_map"
+    run encode export.btfd -o cmf.btfz --codec cmf -p edge=16 --quiet
+    if [ "$status" = 0 ]; then
+      run export cmf.btfz -o packed --compress bc
+      expect "blocks and what they cost" 0 "BC7"
+      grep -q '"vk_format": 145' packed/manifest.json && grep -q '"psnr_db"' packed/manifest.json && pass ||
+        fail "the manifest says what is compressed" "$(cat packed/manifest.json)"
+    fi
     mkdir other && touch other/manifest.json
     run export export.btfz -o other
     expect "a folder of somebody else" 2 "not a GPU export"

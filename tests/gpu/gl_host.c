@@ -12,6 +12,8 @@
 #define GL_FUNCTIONS(X)                                                                                      \
   X(PFNGLGETSTRINGPROC, GetString)                                                                           \
   X(PFNGLGETERRORPROC, GetError)                                                                             \
+  X(PFNGLCOMPRESSEDTEXIMAGE2DPROC, CompressedTexImage2D)                                                     \
+  X(PFNGLCOMPRESSEDTEXIMAGE3DPROC, CompressedTexImage3D)                                                     \
   X(PFNGLENABLEPROC, Enable)                                                                                 \
   X(PFNGLCREATESHADERPROC, CreateShader)                                                                     \
   X(PFNGLSHADERSOURCEPROC, ShaderSource)                                                                     \
@@ -131,16 +133,24 @@ static GLenum target_of(const folder_texture *t) {
 typedef struct upload_format {
   uint32_t vk;
   GLint internal;
-  GLenum format, type;
+  GLenum format, type; /* 0 = blocks */
 } upload_format;
 
 static const upload_format *upload_format_of(uint32_t vk) {
   static const upload_format formats[] = {
-      {9, GL_R8, GL_RED, GL_UNSIGNED_BYTE},      {16, GL_RG8, GL_RG, GL_UNSIGNED_BYTE},
-      {37, GL_RGBA8, GL_RGBA, GL_UNSIGNED_BYTE}, {38, GL_RGBA8_SNORM, GL_RGBA, GL_BYTE},
-      {76, GL_R16F, GL_RED, GL_HALF_FLOAT},      {83, GL_RG16F, GL_RG, GL_HALF_FLOAT},
-      {97, GL_RGBA16F, GL_RGBA, GL_HALF_FLOAT},  {100, GL_R32F, GL_RED, GL_FLOAT},
-      {103, GL_RG32F, GL_RG, GL_FLOAT},          {109, GL_RGBA32F, GL_RGBA, GL_FLOAT},
+      {9, GL_R8, GL_RED, GL_UNSIGNED_BYTE},
+      {16, GL_RG8, GL_RG, GL_UNSIGNED_BYTE},
+      {37, GL_RGBA8, GL_RGBA, GL_UNSIGNED_BYTE},
+      {38, GL_RGBA8_SNORM, GL_RGBA, GL_BYTE},
+      {76, GL_R16F, GL_RED, GL_HALF_FLOAT},
+      {83, GL_RG16F, GL_RG, GL_HALF_FLOAT},
+      {97, GL_RGBA16F, GL_RGBA, GL_HALF_FLOAT},
+      {100, GL_R32F, GL_RED, GL_FLOAT},
+      {103, GL_RG32F, GL_RG, GL_FLOAT},
+      {109, GL_RGBA32F, GL_RGBA, GL_FLOAT},
+      {143, GL_COMPRESSED_RGB_BPTC_UNSIGNED_FLOAT, 0, 0},
+      {144, GL_COMPRESSED_RGB_BPTC_SIGNED_FLOAT, 0, 0},
+      {145, GL_COMPRESSED_RGBA_BPTC_UNORM, 0, 0},
   };
   for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
     if (formats[i].vk == vk) return &formats[i];
@@ -164,7 +174,13 @@ static const char *put_texture(gl_host *h, const folder_texture *t) {
   for (uint32_t l = 0; l < file->levels; l++) {
     const GLsizei w = (GLsizei)(file->width >> l ? file->width >> l : 1),
                   v = (GLsizei)(file->height >> l ? file->height >> l : 1);
-    if (at == GL_TEXTURE_2D)
+    const GLsizei bytes = (GLsizei)file->level_size[l];
+    if (f->format == 0 && at == GL_TEXTURE_2D)
+      h->CompressedTexImage2D(at, (GLint)l, (GLenum)f->internal, w, v, 0, bytes, file->level[l]);
+    else if (f->format == 0)
+      h->CompressedTexImage3D(at, (GLint)l, (GLenum)f->internal, w, v, (GLsizei)t->slices, 0, bytes,
+                              file->level[l]);
+    else if (at == GL_TEXTURE_2D)
       h->TexImage2D(at, (GLint)l, f->internal, w, v, 0, f->format, f->type, file->level[l]);
     else
       h->TexImage3D(at, (GLint)l, f->internal, w, v, (GLsizei)t->slices, 0, f->format, f->type,

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 #include "ktx2_read.h"
 
+#include <stdbool.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -14,14 +15,20 @@ static uint64_t little(const unsigned char *p, int bytes) {
 
 /* Bytes of a texel of the formats that exports use, and of one channel; 0 = none of them. */
 static uint32_t texel_bytes(uint32_t vk_format, uint32_t *channel) {
-  static const uint32_t table[][3] = {{9, 1, 1},  {16, 2, 1}, {37, 4, 1},  {38, 4, 1},  {76, 2, 2},
-                                      {83, 4, 2}, {97, 8, 2}, {100, 4, 4}, {103, 8, 4}, {109, 16, 4}};
+  static const uint32_t table[][3] = {{9, 1, 1},     {16, 2, 1},    {37, 4, 1},   {38, 4, 1},  {76, 2, 2},
+                                      {83, 4, 2},    {97, 8, 2},    {100, 4, 4},  {103, 8, 4}, {109, 16, 4},
+                                      {143, 16, 16}, {144, 16, 16}, {145, 16, 16}};
   for (size_t i = 0; i < sizeof table / sizeof *table; i++) {
     if (table[i][0] != vk_format) continue;
     *channel = table[i][2];
     return table[i][1];
   }
   return 0;
+}
+
+/* BC6H without and with a sign, BC7: a block of 4 x 4 texels is the unit then. */
+static bool is_blocks(uint32_t vk_format) {
+  return vk_format >= 143 && vk_format <= 145;
 }
 
 /* Section 3.10 and the Khronos Data Format specification 1.3: a basic descriptor with a sample for each
@@ -32,12 +39,21 @@ static const char *check_descriptor(const unsigned char *d, uint64_t size, const
   if (size != 28 + 16 * (uint64_t)channels || little(d, 4) != size) return "the descriptor has a wrong size";
   if (little(d + 4, 4) != 0 || little(d + 8, 2) != 2 || little(d + 10, 2) != size - 4)
     return "the descriptor is not basic, version 2";
-  if (d[12] != 1 || d[14] != 1) return "the texels are not linear RGB";
+  const uint32_t model = t->vk_format == 145 ? 134 : is_blocks(t->vk_format) ? 133 : 1;
+  const uint32_t side = is_blocks(t->vk_format) ? 4 : 1;
+  if (d[12] != model || d[14] != 1) return "the texels are not of the format's model, or not linear";
+  if (d[16] != side - 1 || d[17] != side - 1 || d[18] != 0 || d[19] != 0) return "blocks of a wrong size";
   if (d[20] != texel) return "bytesPlane0 is not the texel's size";
   for (uint32_t c = 0; c < channels; c++) {
     const unsigned char *s = d + 28 + 16 * c;
     if (little(s, 2) != c * channel * 8 || s[2] != channel * 8 - 1) return "a sample is elsewhere";
     if ((s[3] & 15) != (c == 3 ? 15 : c)) return "a sample is of another channel";
+    if (side == 1) continue;
+    const uint32_t qualifiers = t->vk_format == 145 ? 0 : t->vk_format == 144 ? 0xc0 : 0x80;
+    const uint32_t lower = t->vk_format == 144 ? 0xbf800000u : 0;
+    if ((s[3] & 0xf0) != qualifiers || little(s + 8, 4) != lower ||
+        little(s + 12, 4) != (t->vk_format == 145 ? 0xffffffffu : 0x3f800000u))
+      return "a sample of blocks has wrong bounds";
   }
   return NULL;
 }
@@ -69,7 +85,9 @@ static const char *read_level(const unsigned char *file, size_t size, uint32_t i
   const uint32_t texel = texel_bytes(t->vk_format, &channel), align = texel > 4 ? texel : 4;
   const uint64_t w = t->width >> i ? t->width >> i : 1, h = t->height >> i ? t->height >> i : 1,
                  d = t->depth >> i ? t->depth >> i : 1, n = t->layers ? t->layers : 1;
-  if (plain != w * h * d * n * texel) return "a level has a wrong size";
+  const uint64_t side = is_blocks(t->vk_format) ? 4 : 1;
+  if (plain != (w + side - 1) / side * ((h + side - 1) / side) * d * n * texel)
+    return "a level has a wrong size";
   if (offset > size || stored > size - offset) return "a level lies outside";
   if (t->scheme == 0 && (offset % align != 0 || stored != plain)) return "a level is not aligned";
   if (*end != 0 && offset + stored > *end) return "levels are not stored smallest first";
@@ -96,7 +114,8 @@ const char *ktx2_read(const unsigned char *file, size_t size, ktx2_texture *t) {
   for (size_t i = 0; i < 9; i++) *words[i] = (uint32_t)little(file + 12 + 4 * i, 4);
   const uint64_t dfd = little(file + 48, 4), dfd_size = little(file + 52, 4);
   const uint64_t kvd = little(file + 56, 4), kvd_size = little(file + 60, 4);
-  if (texel_bytes(t->vk_format, &channel) == 0 || t->type_size != channel) return "an unexpected format";
+  if (texel_bytes(t->vk_format, &channel) == 0 || t->type_size != (is_blocks(t->vk_format) ? 1 : channel))
+    return "an unexpected format";
   if (t->width == 0 || t->height == 0 || t->faces != 1 || t->levels == 0 || t->levels > KTX2_MOST_LEVELS)
     return "sizes make no sense";
   if (t->scheme != 0 && t->scheme != 2) return "an unexpected supercompression";
