@@ -154,7 +154,7 @@ export async function errors(name) {
   writeFileSync(join(work, 'none/readme.txt'), 'nothing');
   const page = await openViewer(''), said = () => page.evaluate(() => [...document.querySelectorAll('.message.shown')].map((m) => m.firstChild.textContent).join('|'));
   const expect = async (title, what, open) => {
-    await page.keyboard.press('Escape');
+    await page.evaluate(() => document.querySelector('.message button')?.click());
     await open();
     await page.waitForFunction(() => document.querySelector('.message.shown'));
     const message = await said();
