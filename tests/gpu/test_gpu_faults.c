@@ -156,6 +156,8 @@ static void check_layout(trial *t, const codec_case *row) {
     }
 }
 
+static const char *only; /* this codec, or NULL for all */
+
 static void exports(void **state) {
   const btf_codec *codec;
   const char *last = ""; /* rows of a codec follow each other; one is enough */
@@ -168,6 +170,7 @@ static void exports(void **state) {
     btf_context *ctx;
     btf_model *model;
     if (!row->faults || strcmp(row->codec, last) == 0) continue;
+    if (only != NULL && strcmp(row->codec, only) != 0) continue;
     last = row->codec;
     ctx = test_context_with(&memory, NULL, 1);
     codec = btf_codec_find(ctx, row->codec);
@@ -184,7 +187,8 @@ static void exports(void **state) {
   if (layouts == 0) skip();
 }
 
-int main(void) {
+int main(int argc, char **argv) {
   const struct CMUnitTest tests[] = {cmocka_unit_test(exports)};
+  only = argc > 1 ? argv[1] : NULL;
   return btf_run("gpu_faults", tests);
 }
