@@ -325,6 +325,7 @@ void bonn_case_light(const bonn_case *c, uint32_t view, uint32_t light, float *t
   const bool small = view % 5 == 1 || view % 5 == 4;
   if (!c->own_lights) {
     bonn_case_angles(light, c->lights, true, theta, phi);
+    *theta += c->drift * (float)view;
     return;
   }
   *theta = light == 3 ? 0.05f : small ? 0.3f : 1.2f;

@@ -22,6 +22,7 @@ typedef struct bonn_case {
   uint32_t setup_bytes;               /* of XML, for sizes that look like an R */
   bool uneven;                        /* numbers of all the bits that the scalar has, or a float */
   bool own_lights;                    /* of each view, instead of `lights`: bonn_case_light */
+  float drift;                        /* radians by which lights lie lower from one view to the next */
 } bonn_case;
 
 typedef struct bonn_bytes {

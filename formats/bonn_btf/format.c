@@ -102,6 +102,9 @@ static btf_status make(const btf_host *host, bonn_file *bonn, const btf_options 
     desc.release = release;
     desc.notes = notes.list;
     desc.factors = common.of_views == NULL ? bonn_products : NULL;
+    if (common.of_views != NULL)
+      (host->log)(ctx, BTF_LOG_WARNING, "%s: its views have lights of their own, resampled %s",
+                  bonn->file.path, common.note);
     status = (host->dataset_create)(ctx, &desc, out);
   } else {
     release(bonn);

@@ -114,6 +114,12 @@ static btf_status check_angles(const bonn_file *bonn, const unsigned char *angle
     return (bonn->file.host->fail)(bonn->file.ctx, BTF_E_CORRUPT,
                                    "%s: %s direction %u has the angles %g and %g; expected radians",
                                    bonn->file.path, kind, (unsigned)i, (double)theta, (double)phi);
+  float direction[3];
+  bonn_direction(angles, direction);
+  if (!(direction[2] > 0))
+    return (bonn->file.host->fail)(bonn->file.ctx, BTF_E_CORRUPT,
+                                   "%s: %s direction %u is %g degrees from the normal; expected less than 90",
+                                   bonn->file.path, kind, (unsigned)i, (double)theta * 180 / acos(-1.0));
   return BTF_OK;
 }
 

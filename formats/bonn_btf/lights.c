@@ -48,14 +48,15 @@ static btf_status too_many(const bonn_file *bonn) {
   return (bonn->file.host->fail)(
       bonn->file.ctx, BTF_E_LIMIT,
       "%s: its views have lights of their own; at most %d pairs of view and light and %d "
-      "lists are resampled",
+      "changes from one view's list to the next's are resampled",
       bonn->file.path, MOST_PAIRS, MOST_LISTS);
 }
 
-/* Views share what is the same: the common set, or that of the view before. */
+/* Views share what is the same: the common set, or that of the view before, if its list is that of the view
+ * which made the set; lists that drift slowly become sets of their own. */
 static btf_status make_sets(const bonn_file *bonn, uint32_t list, bonn_common *common) {
   const btf_host *host = bonn->file.host;
-  uint32_t made = 0;
+  uint32_t made = 0, maker = UINT32_MAX;
   common->of_views = (host->alloc)(bonn->file.ctx, bonn->view_count, sizeof *common->of_views);
   if (common->of_views == NULL) return BTF_E_NOMEM;
   for (; common->views < bonn->view_count; common->views++) {
@@ -63,11 +64,13 @@ static btf_status make_sets(const bonn_file *bonn, uint32_t list, bonn_common *c
     btf_dirset **set = &common->of_views[v];
     if (list < bonn->view_count && bonn_same_lights(&bonn->lights[v], &bonn->lights[list])) {
       *set = common->lights;
-    } else if (v > 0 && bonn_same_lights(&bonn->lights[v], &bonn->lights[v - 1])) {
-      *set = common->of_views[v - 1];
+      maker = UINT32_MAX;
+    } else if (maker != UINT32_MAX && bonn_same_lights(&bonn->lights[v], &bonn->lights[maker])) {
+      *set = common->of_views[maker];
     } else {
       if (made++ == MOST_LISTS) return too_many(bonn);
       BTF_TRY(make_set(bonn, v, set));
+      maker = v;
     }
   }
   return BTF_OK;

@@ -270,7 +270,29 @@ static void test_named_lights(void **state) {
   many = with_own_lights(0);
   many.views = 1710; /* of five, three have lists that no other view has */
   assert_status(format_try(ctx, write_case(&many), "bonn-btf", NULL, &ds), BTF_E_LIMIT);
-  assert_message_has("1024 lists");
+  assert_message_has("1024 changes");
+  test_context_done(ctx, &memory);
+}
+
+/* Neighbouring views within the tolerance are not alike over many. */
+static void test_drifting_lights(void **state) {
+  (void)state;
+  test_memory memory;
+  btf_context *ctx = format_context(&memory);
+  bonn_case c = bonn_cases[0];
+  btf_dataset *ds;
+  char begin[64];
+  c.views = 120;
+  c.drift = 9e-5f;
+  snprintf(begin, sizeof begin, "at the %u of view 0, in 118 of 120 views; ", (unsigned)c.lights);
+  assert_ok(format_try(ctx, write_case(&c), "bonn-btf", NULL, &ds));
+  /* View 119 has the set of view 118. */
+  expect_note(ds, begin, 118 * 9e-5 * 180 / acos(-1.0));
+  btf_dataset_release(ds);
+  c.views = 4;
+  c.drift = 0.5f;
+  format_expect_refusal(ctx, write_case(&c), "bonn-btf");
+  assert_message_has("degrees from the normal; expected less than 90");
   test_context_done(ctx, &memory);
 }
 
@@ -397,11 +419,11 @@ static void test_allocations(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_variants),    cmocka_unit_test(test_cosine),
-      cmocka_unit_test(test_own_lights),  cmocka_unit_test(test_named_lights),
-      cmocka_unit_test(test_truncation),  cmocka_unit_test(test_trailing_bytes),
-      cmocka_unit_test(test_counts),      cmocka_unit_test(test_refusals),
-      cmocka_unit_test(test_allocations),
+      cmocka_unit_test(test_variants),        cmocka_unit_test(test_cosine),
+      cmocka_unit_test(test_own_lights),      cmocka_unit_test(test_named_lights),
+      cmocka_unit_test(test_drifting_lights), cmocka_unit_test(test_truncation),
+      cmocka_unit_test(test_trailing_bytes),  cmocka_unit_test(test_counts),
+      cmocka_unit_test(test_refusals),        cmocka_unit_test(test_allocations),
   };
   return btf_run("bonn_btf", tests);
 }
