@@ -15,6 +15,7 @@ typedef struct auditor {
   float *low, *high; /* of each texel and channel, over directions */
   double *albedo;    /* of each texel for the present view */
   audit seen;
+  uint32_t bad_texels;
   btf_status status;
   char message[512];
 } auditor;
@@ -49,14 +50,21 @@ static btf_status read_texels(const sample_source *s, uint32_t view, uint32_t li
   return btf_dataset_read(s->dataset, &block, dst, &strides);
 }
 
-/* Where they cannot be read halves of them, and a texel alone becomes NaN. */
+/* To tell the texels of all pictures apart would take hours where all are bad. */
+enum { MOST_BAD_TEXELS = 1 << 16 };
+
+/* Where they cannot be read halves of them, and a texel alone becomes NaN; so do all of a part once `bad` of
+ * this thread are many. */
 static btf_status read_part(const sample_source *s, uint32_t view, uint32_t light, const btf_block *part,
-                            float *picture) {
+                            uint32_t *bad, float *picture) {
   const btf_status status = read_texels(s, view, light, part, picture);
   if (status != BTF_E_CORRUPT) return status;
-  if (part->width == 1 && part->height == 1) {
-    float *dst = picture + ((size_t)part->y0 * s->width + part->x0) * s->channels;
-    for (uint32_t c = 0; c < s->channels; c++) dst[c] = NAN;
+  if ((part->width == 1 && part->height == 1) || *bad >= MOST_BAD_TEXELS) {
+    for (uint32_t y = part->y0; y < part->y0 + part->height; y++) {
+      float *dst = picture + ((size_t)y * s->width + part->x0) * s->channels;
+      for (uint32_t i = 0; i < part->width * s->channels; i++) dst[i] = NAN;
+    }
+    if (*bad < MOST_BAD_TEXELS) ++*bad;
     return BTF_OK;
   }
   btf_block first = *part, second = *part;
@@ -69,8 +77,8 @@ static btf_status read_part(const sample_source *s, uint32_t view, uint32_t ligh
     second.x0 += first.width;
     second.width -= first.width;
   }
-  const btf_status halves = read_part(s, view, light, &first, picture);
-  return halves == BTF_OK ? read_part(s, view, light, &second, picture) : halves;
+  const btf_status halves = read_part(s, view, light, &first, bad, picture);
+  return halves == BTF_OK ? read_part(s, view, light, &second, bad, picture) : halves;
 }
 
 /* A sample that is not finite is named by its place. What is said alike of two texels is of the picture,
@@ -86,14 +94,14 @@ static bool is_damaged(const sample_source *s, uint32_t view, uint32_t light, fl
 }
 
 static btf_status read_lights(const sample_source *s, uint32_t view, uint32_t light0, uint32_t lights,
-                              float *dst) {
+                              uint32_t *bad, float *dst) {
   const btf_status status = sample_source_read(s, view, light0, lights, dst);
   if (status != BTF_E_CORRUPT || s->dataset == NULL) return status;
   const btf_block whole = {0, 1, 0, 1, 0, 0, s->width, s->height};
   for (uint32_t l = 0; l < lights; l++) {
     float *picture = dst + (size_t)l * sample_source_image_values(s);
     if (is_damaged(s, view, light0 + l, picture)) return BTF_E_CORRUPT;
-    const btf_status one = read_part(s, view, light0 + l, &whole, picture);
+    const btf_status one = read_part(s, view, light0 + l, &whole, bad, picture);
     if (one != BTF_OK) return one;
   }
   return BTF_OK;
@@ -184,7 +192,7 @@ static bool audit_view(void *user, uint64_t index, uint32_t thread) {
   memset(w->albedo, 0, (size_t)source->width * source->height * sizeof *w->albedo);
   for (uint32_t light0 = 0; light0 < source->lights; light0 += s->block_lights) {
     const uint32_t left = source->lights - light0, lights = left < s->block_lights ? left : s->block_lights;
-    w->status = read_lights(source, view, light0, lights, w->block);
+    w->status = read_lights(source, view, light0, lights, &w->bad_texels, w->block);
     if (w->status != BTF_OK) {
       snprintf(w->message, sizeof w->message, "%s", btf_error_message());
       return false;
@@ -258,11 +266,26 @@ static void find_dead(const audit_run_state *s) {
       float low, high;
       if (!range(s, t * source->channels + c, &low, &high)) continue;
       if (high > low) varies = true;
-      if (!matte && high > low && high == (float)s->result->most) s->result->cut_off = true;
+      /* What varies by rounding alone is not cut off. */
+      if (!matte && 0.99f * high > low && high == (float)s->result->most) s->result->cut_off = true;
     }
     if (!varies && s->result->dead++ == 0)
       s->result->first_dead =
           (audit_place){(uint32_t)(t % source->width), (uint32_t)(t / source->width), 0, 0};
+  }
+}
+
+/* A lobe that falls between lights weighs too much when it meets one. */
+static void find_albedo_but_one(const audit_run_state *s, audit *a) {
+  for (uint32_t v = 0; v < s->source->views; v++) {
+    double sum = 0, largest = 0;
+    for (uint32_t l = 0; l < s->source->lights; l++) {
+      const double part = s->weights[l] * a->mean[(size_t)v * s->source->lights + l];
+      if (!(part > 0)) continue;
+      sum += part;
+      largest = fmax(largest, part);
+    }
+    a->albedo_but_one = fmax(a->albedo_but_one, sum - largest);
   }
 }
 
@@ -314,6 +337,7 @@ int audit_run(cli *c, const sample_source *source, audit *out) {
   if (!failed) {
     for (uint32_t k = 0; k < c->threads; k++) merge(out, &s.auditors[k].seen);
     find_dead(&s);
+    find_albedo_but_one(&s, out);
     failed = audit_directions(source, out);
   }
   for (uint32_t k = 0; s.auditors != NULL && k < c->threads; k++) {

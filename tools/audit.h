@@ -36,11 +36,13 @@ typedef struct audit {
    * the worst texel. */
   double albedo;
   uint32_t albedo_view;
+  double albedo_but_one; /* the largest average without the light that gives most of it */
   double worst_albedo;
   audit_place worst_texel;
   /* How much brighter a light or view is than its neighbours are: |log|, the median over the directions of
    * the other side. */
   double flicker_light, flicker_view;
+  double flicker_light_usual, flicker_view_usual; /* of the others: their median */
   uint32_t flicker_light_index, flicker_view_index;
   double *mean; /* views x lights: mean over texels and channels; NaN where nothing is finite */
 } audit;

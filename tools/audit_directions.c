@@ -158,9 +158,11 @@ static bool excess(const double *mean, const axis *x, const edge *first, size_t 
   return true;
 }
 
-static int find_flicker(const double *mean, const axis *x, double *values, double *worst,
+/* `values` has room for one of each direction of the other side, and of this side behind them. */
+static int find_flicker(const double *mean, const axis *x, double *values, double *worst, double *usual,
                         uint32_t *worst_index) {
-  size_t count, end;
+  size_t count, end, inside = 0;
+  double *all = values + x->others;
   edge *edges = make_edges(x->set, &count);
   if (edges == NULL) return cli_out_of_memory();
   *worst = 0;
@@ -172,25 +174,30 @@ static int find_flicker(const double *mean, const axis *x, double *values, doubl
     for (uint32_t o = 0; o < x->others; o++)
       if (excess(mean, x, edges + begin, end - begin, o, &values[found])) found++;
     const double typical = fabs(median(values, found));
+    all[inside++] = typical;
     if (!(typical > *worst)) continue;
     *worst = typical;
     *worst_index = edges[begin].a;
   }
+  *usual = median(all, inside);
   free(edges);
   return EXIT_DONE;
 }
 
 int audit_directions(const sample_source *source, audit *a) {
   const size_t pairs = (size_t)source->views * source->lights;
-  double *room = malloc(3 * pairs * sizeof *room);
+  double *room = malloc((3 * pairs + source->lights + source->views) * sizeof *room);
   if (room == NULL) return cli_out_of_memory();
   find_reciprocity(source, a, room, room + pairs, room + 2 * pairs);
   a->cosine = judge(a);
   without_cosine(source, a, room + pairs);
   const axis lights = {source->light_set, source->lights, source->views, 1, source->lights};
   const axis views = {source->view_set, source->views, source->lights, source->lights, 1};
-  int failed = find_flicker(room + pairs, &lights, room, &a->flicker_light, &a->flicker_light_index);
-  if (!failed) failed = find_flicker(room + pairs, &views, room, &a->flicker_view, &a->flicker_view_index);
+  int failed = find_flicker(room + pairs, &lights, room + 2 * pairs, &a->flicker_light,
+                            &a->flicker_light_usual, &a->flicker_light_index);
+  if (!failed)
+    failed = find_flicker(room + pairs, &views, room + 2 * pairs, &a->flicker_view, &a->flicker_view_usual,
+                          &a->flicker_view_index);
   free(room);
   return failed;
 }

@@ -122,16 +122,26 @@ double cli_seconds(void) {
 
 static volatile sig_atomic_t interrupted, interrupts_held;
 
+/* `line` begins with what erases a bar. */
+static void leave(const char *line, size_t length, int status) {
+  const size_t erase = bar_is_drawn ? 0 : 4;
+  const ssize_t written = write(STDERR_FILENO, line + erase, length - erase);
+  (void)written;
+  _exit(status);
+}
+
 static void on_interrupt(int signal_number) {
   static const char line[] = "\r\033[Kbtf: interrupted\n";
-  const size_t erase = bar_is_drawn ? 0 : 4;
   (void)signal_number;
   interrupted = 1;
-  if (interrupts_held == 0) {
-    const ssize_t written = write(STDERR_FILENO, line + erase, sizeof line - 1 - erase);
-    (void)written;
-    _exit(EXIT_INTERRUPTED);
-  }
+  if (interrupts_held == 0) leave(line, sizeof line - 1, EXIT_INTERRUPTED);
+}
+
+/* A page of a mapped file is no longer there. */
+static void on_lost_page(int signal_number) {
+  static const char line[] = "\r\033[Kbtf: a file became shorter, or its disk failed, while it was read\n";
+  (void)signal_number;
+  leave(line, sizeof line - 1, EXIT_IO);
 }
 
 void cli_session_begin(void) {
@@ -142,6 +152,8 @@ void cli_session_begin(void) {
   sigaction(SIGINT, &action, NULL);
   sigaction(SIGTERM, &action, NULL);
   sigaction(SIGHUP, &action, NULL);
+  action.sa_handler = on_lost_page;
+  sigaction(SIGBUS, &action, NULL);
   /* A write that fails is reported, and cleaned up after, where it was made. */
   signal(SIGPIPE, SIG_IGN);
 #ifdef SIGXFSZ

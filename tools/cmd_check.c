@@ -2,6 +2,7 @@
 /* cmd_check.c: a physical and data audit of the samples. */
 #include <inttypes.h>
 #include <math.h>
+#include <string.h>
 
 #include "audit.h"
 #include "commands.h"
@@ -12,9 +13,9 @@
 
 /* Values at the largest one are a sign of saturation when they are more than this part of all. */
 static const double saturated_part = 1e-4;
-/* A direction that differs from its neighbours by more than this |log| was exposed or registered otherwise.
- */
-static const double flicker_limit = 0.2;
+/* A direction that differs from its neighbours by more than this |log|, and by so many times what others do,
+ * was exposed or registered otherwise. */
+static const double flicker_limit = 0.2, flicker_over_usual = 4;
 /* Interpolated and of a finite set of lights, an albedo of 1 may seem a little more. */
 static const double albedo_limit = 1.05;
 
@@ -23,9 +24,21 @@ typedef struct finding {
   const char *key, *text;
 } finding;
 
-enum { FINDINGS = 9 };
+enum { FINDINGS = 11 };
 
-static void judge(const sample_source *s, const audit *a, bool absolute, finding out[FINDINGS]) {
+static bool flickers(double worst, double usual) {
+  return worst > flicker_limit && worst > flicker_over_usual * usual;
+}
+
+static const char *find_note(const btf_dataset_desc *d, const char *key) {
+  for (size_t i = 0; d->notes != NULL && d->notes[i] != NULL; i += 2)
+    if (strcmp(d->notes[i], key) == 0) return d->notes[i + 1];
+  return NULL;
+}
+
+/* `d` says what is known of a data set beside its samples. */
+static void judge(const sample_source *s, const audit *a, const btf_dataset_desc *d, bool absolute,
+                  finding out[FINDINGS]) {
   const bool inside = s->quantity == BTF_QUANTITY_BRDF_COS;
   const finding list[FINDINGS] = {
       {a->not_finite > 0, "not_finite", "values that are not finite"},
@@ -33,15 +46,18 @@ static void judge(const sample_source *s, const audit *a, bool absolute, finding
       {a->cut_off && (double)a->at_most > saturated_part * (double)a->values && a->at_most > 1, "saturated",
        "many values are the largest one: highlights are cut off"},
       {a->missing > 0, "missing", "pictures that are black all over"},
+      {find_note(d, "images_filled") != NULL, "filled", "pictures that were missing and have been filled in"},
+      {find_note(d, "lights_resampled") != NULL, "resampled",
+       "lights that differ between views and have been interpolated"},
       {a->dead > 0 && a->dead < (uint64_t)s->width * s->height, "dead",
        "texels that never change, among others that do"},
       {a->cosine == AUDIT_COSINE_INSIDE && !inside, "cosine_inside",
        "the cosine of the light seems to be in the values, though they are said to be brdf"},
       {a->cosine == AUDIT_COSINE_OUTSIDE && inside, "cosine_outside",
        "the cosine of the light seems not to be in the values, though they are said to be brdf_cos"},
-      {absolute && a->albedo > albedo_limit, "albedo", "more light leaves than arrives"},
-      {fmax(a->flicker_light, a->flicker_view) > flicker_limit, "flicker",
-       "a direction is much brighter or darker than its neighbours"},
+      {absolute && a->albedo_but_one > albedo_limit, "albedo", "more light leaves than arrives"},
+      {flickers(a->flicker_light, a->flicker_light_usual) || flickers(a->flicker_view, a->flicker_view_usual),
+       "flicker", "a direction is much brighter or darker than its neighbours"},
   };
   for (int i = 0; i < FINDINGS; i++) out[i] = list[i];
 }
@@ -63,7 +79,10 @@ static void print_place(const char *what, uint64_t count, const audit_place *p, 
 static void print_text(const sample_source *s, const audit *a, const finding *findings) {
   int problems = 0;
   safe_text_put(stdout, s->path);
-  printf(": %" PRIu64 " values from %.6g to %.6g\n", a->values, a->least, a->most);
+  if (a->most >= a->least)
+    printf(": %" PRIu64 " values from %.6g to %.6g\n", a->values, a->least, a->most);
+  else
+    printf(": %" PRIu64 " values, none of them finite\n", a->values);
   print_place("not finite", a->not_finite, &a->first_not_finite, true);
   print_place("negative", a->negative, &a->first_negative, true);
   printf("  %-22s %" PRIu64 " (%.4f %%)\n", "at the largest value", a->at_most,
@@ -84,8 +103,10 @@ static void print_text(const sample_source *s, const audit *a, const finding *fi
   printf("  %-22s %.4f at most, seen from view %" PRIu32 "; %.4f at x %" PRIu32 ", y %" PRIu32 "\n",
          "directional albedo", a->albedo, a->albedo_view, a->worst_albedo, a->worst_texel.x,
          a->worst_texel.y);
-  printf("  %-22s %.4f at light %" PRIu32 ", %.4f at view %" PRIu32 " (|log| to the neighbours' mean)\n",
-         "flicker", a->flicker_light, a->flicker_light_index, a->flicker_view, a->flicker_view_index);
+  printf("  %-22s %.4f at light %" PRIu32 " (others %.4f), %.4f at view %" PRIu32
+         " (others %.4f; |log| to the neighbours' mean)\n",
+         "flicker", a->flicker_light, a->flicker_light_index, a->flicker_light_usual, a->flicker_view,
+         a->flicker_view_index, a->flicker_view_usual);
   for (int i = 0; i < FINDINGS; i++) {
     if (!findings[i].there) continue;
     printf("problem: %s\n", findings[i].text);
@@ -127,13 +148,16 @@ static void print_json(const sample_source *s, const audit *a, const finding *fi
   json_string(&j, "quantity", input_quantity(s->quantity));
   json_number(&j, "albedo", a->albedo);
   json_integer(&j, "albedo_view", a->albedo_view);
+  json_number(&j, "albedo_but_one", a->albedo_but_one);
   json_number(&j, "worst_albedo", a->worst_albedo);
   json_integer(&j, "worst_x", a->worst_texel.x);
   json_integer(&j, "worst_y", a->worst_texel.y);
   json_number(&j, "flicker_light", a->flicker_light);
   json_integer(&j, "flicker_light_index", a->flicker_light_index);
+  json_number(&j, "flicker_light_usual", a->flicker_light_usual);
   json_number(&j, "flicker_view", a->flicker_view);
   json_integer(&j, "flicker_view_index", a->flicker_view_index);
+  json_number(&j, "flicker_view_usual", a->flicker_view_usual);
   json_flat_array(&j, "problems");
   for (int i = 0; i < FINDINGS; i++)
     if (findings[i].there) json_string(&j, NULL, findings[i].key);
@@ -142,11 +166,8 @@ static void print_json(const sample_source *s, const audit *a, const finding *fi
   json_end(&j);
 }
 
-static bool is_absolute(const input *in) {
-  if (in->dataset != NULL) {
-    btf_dataset_desc d = BTF_DATASET_DESC_INIT;
-    return btf_dataset_describe(in->dataset, &d) == BTF_OK && d.scale == BTF_SCALE_ABSOLUTE;
-  }
+static bool is_absolute(const input *in, const btf_dataset_desc *d) {
+  if (in->dataset != NULL) return d->scale == BTF_SCALE_ABSOLUTE;
   btf_model_info m = BTF_MODEL_INFO_INIT;
   btf_model_describe(in->model, &m);
   return m.scale == BTF_SCALE_ABSOLUTE;
@@ -167,7 +188,9 @@ static int run(cli *c) {
   source.marks_defects = true;
   if (!failed) failed = audit_run(c, &source, &result);
   if (!failed) {
-    judge(&source, &result, is_absolute(&in), findings);
+    btf_dataset_desc d = BTF_DATASET_DESC_INIT;
+    if (in.dataset != NULL) btf_dataset_describe(in.dataset, &d);
+    judge(&source, &result, &d, is_absolute(&in, &d), findings);
     if (sheet != NULL) failed = audit_write_sheet(&source, &result, sheet);
     if (cli_has(c, "json"))
       print_json(&source, &result, findings);

@@ -151,7 +151,6 @@ static const cli_option options_table[] = {
     {"param", 'p', "KEY=VALUE", "set a parameter of that; may be repeated", 0},
     CLI_OPTION_SAMPLE_TYPE("otherwise the type of IN, f32 of a container"),
     INPUT_OPTIONS,
-    INPUT_OPTIONS_SHORT,
     {"list", 0, NULL, "list the formats that this build writes and their parameters", CLI_OPTION_UNRECORDED},
     CLI_OPTIONS_END};
 

@@ -130,7 +130,6 @@ static const cli_option options_table[] = {
     {"codec", 'c', "NAME", "the codec; btf codecs lists them", 0},
     {"param", 'p', "KEY=VALUE", "set a parameter of the codec; may be repeated", 0},
     INPUT_OPTIONS,
-    INPUT_OPTIONS_SHORT,
     {"memory", 'm', "MIB", "working memory of the fit in MiB (default 1024)", 0},
     {"seed", 0, "N", "seed of random choices (default 0)", 0},
     CLI_OPTION_JSON,

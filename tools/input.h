@@ -16,15 +16,16 @@ typedef struct input {
 } input;
 
 /* Entries of option tables: of commands that read with input_open; and shorthands for parameters. */
-#define INPUT_OPTIONS                                                                                        \
-  {"format", 0, "NAME", "format of measured data, instead of recognising it from the content", 0}, {         \
-    "input", 0, "KEY=VALUE",                                                                                 \
-        "set a parameter of the format of measured data; may be repeated\n(btf import --list shows them)", 0 \
-  }
 #define INPUT_OPTIONS_SHORT                                                                                  \
   {"allow-missing", 0, NULL, "fill missing and damaged images of measured data", 0}, {                       \
     "transfer", 0, "NAME", "curve that codes of measured data were made with, such as srgb", 0               \
   }
+#define INPUT_OPTIONS                                                                                        \
+  {"format", 0, "NAME", "format of measured data, instead of recognising it from the content", 0},           \
+      {"input", 0, "KEY=VALUE",                                                                              \
+       "set a parameter of the format of measured data; may be repeated\n(btf import --list shows them)",    \
+       0},                                                                                                   \
+      INPUT_OPTIONS_SHORT
 
 /* Opens by what is there: a container, or a data set of the format that --format names or that recognises it,
  * with --input and the shorthands for the format. Zeroed on failure. */

@@ -92,7 +92,7 @@ static btf_status check_missing(images_file *file, const btf_options *options) {
   if ((file->host->option)(options, "allow_missing") == 0)
     return (file->host->fail)(file->ctx, BTF_E_CORRUPT,
                               "%s: %u of %d images are missing: %s%s%s%s%s%s%s%s; the parameter "
-                              "allow_missing fills them (--input allow_missing=true)",
+                              "allow_missing fills them (--allow-missing)",
                               file->path, missing, IMAGES_PAIRS, names[0], missing > 1 ? ", " : "", names[1],
                               missing > 2 ? ", " : "", names[2], missing > 3 ? ", " : "", names[3],
                               missing > NAMED ? " ..." : "");

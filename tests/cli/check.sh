@@ -71,6 +71,24 @@ for p in everywhere: s[at(*p)] = min(s[at(*p)], 0.3 * most)'
   spoil matte brdf_cos "$cosine"
   expect "a matte surface is not cut off" 0 '"problems": ?]'
   rm -rf sound.btfd && mv sound.kept sound.btfd
+  # Nothing is wrong with what synth makes, and coarse directions are no problem of the data.
+  for material in $("$btf" synth --list | cut -d: -f1 | cut -d' ' -f1); do
+    rm -rf made.btfd
+    "$btf" synth "$material" -o made.btfd --size 6x6 --directions grid:8x4 --spp 4 --type f32 -q
+    run check made.btfd --json
+    expect "check of $material" 0 '"problems": ?]'
+    [ "$material" = furnace ] || expect "the cosine of $material" 0 '"cosine": "outside"'
+  done
+  # What the reader had to make up is told.
+  sed -i 's/"format": "btf-dataset",/&\n  "images_filled": "3",/' sound.btfd/manifest.json
+  run check sound.btfd --json
+  expect "pictures that were filled in" 0 '"problems": ?"filled"?'
+  sed -i '/images_filled/d' sound.btfd/manifest.json
+  # All of a larger set: texels are not told apart for ever.
+  run synth plane -o void.btfd --size 128x128 --directions grid:4x2 --type f32 --spp 1 --bounces 1 -q
+  python3 -c 'import sys; n = len(open("void.btfd/samples.bin", "rb").read()) // 4; open("void.btfd/samples.bin", "wb").write(b"\0\0\xc0\x7f" * n)'
+  run check void.btfd --json
+  expect "a set without finite values" 0 '"not_finite": {"count": [0-9]'
   run check sound.btfd --sheet audit.png
   expect "check --sheet" 0 "no problems found"
   [ "$(head -c 4 audit.png | tail -c 3)" = PNG ] && pass || fail "check --sheet writes a picture"

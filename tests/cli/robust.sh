@@ -83,9 +83,21 @@ for locale in $(locale -a 2>/dev/null | grep -E '^(de_DE|fr_FR|fi_FI)' | head -2
   [ "$(cat out.txt)" = 0.200000003 ] && pass || fail "numbers in $locale" "$(cat out.txt)"
 done
 
-# A command that only reads ends at once.
+# A page of a mapped file that went away ends a command with a line.
 set -m
 mkfifo silence
+exec 4<>silence
+"$btf" eval tiny.btfd <silence 4>&- >out.txt 2>err.txt &
+waiting=$!
+sleep 0.3
+kill -BUS "$waiting"
+wait "$waiting"
+status=$?
+err=$(cat err.txt)
+expect "a file that became shorter" 2 "became shorter"
+exec 4>&-
+
+# A command that only reads ends at once.
 exec 4<>silence
 "$btf" eval tiny.btfd <silence 4>&- >out.txt 2>err.txt &
 waiting=$!
