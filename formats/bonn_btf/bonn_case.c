@@ -569,28 +569,35 @@ bonn_bytes bonn_case_write(const bonn_case *c) {
 
 /* ---- samples ---- */
 
-static double dot(const bonn_case *c, uint32_t factor, uint64_t left, uint64_t right) {
+/* A summand, or its size. */
+typedef double (*summand)(double);
+static double as_it_is(double x) {
+  return x;
+}
+
+static double dot(const bonn_case *c, uint32_t factor, uint64_t left, uint64_t right, summand of) {
   double sum = 0;
   for (uint32_t k = 0; k < c->components; k++)
-    sum += entry(c, FACTOR_LEFT, factor, left, k) * entry(c, FACTOR_RIGHT, factor, right, k);
+    sum += of(entry(c, FACTOR_LEFT, factor, left, k) * entry(c, FACTOR_RIGHT, factor, right, k));
   return sum;
 }
 
-static double stored(const bonn_case *c, uint32_t v, uint32_t l, uint32_t texel, uint32_t channel) {
+static double stored(const bonn_case *c, uint32_t v, uint32_t l, uint32_t texel, uint32_t channel,
+                     summand of) {
   const uint32_t lv = pair_of(c, v, l), n = c->channels;
   switch (c->family) {
   case BONN_CASE_DFMF:
-    return c->transposed ? dot(c, channel, texel, lv) : dot(c, channel, lv, texel);
+    return c->transposed ? dot(c, channel, texel, lv, of) : dot(c, channel, lv, texel, of);
   case BONN_CASE_FMF:
-    return c->transposed ? dot(c, 0, channel + (uint64_t)n * texel, lv)
-                         : dot(c, 0, channel + (uint64_t)n * lv, texel);
+    return c->transposed ? dot(c, 0, channel + (uint64_t)n * texel, lv, of)
+                         : dot(c, 0, channel + (uint64_t)n * lv, texel, of);
   case BONN_CASE_PVF:
-    return c->transposed ? dot(c, v, channel + (uint64_t)n * texel, l) +
-                               entry(c, FACTOR_MEAN, v, channel + (uint64_t)n * texel, 0)
-                         : dot(c, v, channel + (uint64_t)n * l, texel) +
-                               entry(c, FACTOR_MEAN, v, channel + (uint64_t)n * l, 0);
+    return c->transposed ? dot(c, v, channel + (uint64_t)n * texel, l, of) +
+                               of(entry(c, FACTOR_MEAN, v, channel + (uint64_t)n * texel, 0))
+                         : dot(c, v, channel + (uint64_t)n * l, texel, of) +
+                               of(entry(c, FACTOR_MEAN, v, channel + (uint64_t)n * l, 0));
   default:
-    return is_hole(c, texel) ? 0 : entry(c, FACTOR_FIELD, 0, texel, channel + n * lv);
+    return is_hole(c, texel) ? 0 : of(entry(c, FACTOR_FIELD, 0, texel, channel + n * lv));
   }
 }
 
@@ -600,7 +607,7 @@ double bonn_case_sample(const bonn_case *c, uint32_t view, uint32_t light, uint3
   const uint32_t texel = (c->height - 1 - y) * c->width + x;
   double s[8], f, sum = 0;
   double lum, u, v;
-  for (uint32_t k = 0; k < c->channels; k++) s[k] = stored(c, view, light, texel, k);
+  for (uint32_t k = 0; k < c->channels; k++) s[k] = stored(c, view, light, texel, k, as_it_is);
   switch (c->colour_model) {
   case 0:
     return c->dynamic_range != 0 ? exp(s[channel]) - eps : s[channel];
@@ -632,4 +639,27 @@ double bonn_case_sample(const bonn_case *c, uint32_t view, uint32_t light, uint3
     v *= lum + eps;
   }
   return channel == 0 ? lum + 1.13983 * v : channel == 1 ? lum - 0.39465 * u - 0.5806 * v : lum + 2.03211 * u;
+}
+
+double bonn_case_size(const bonn_case *c, uint32_t view, uint32_t light, uint32_t x, uint32_t y,
+                      uint32_t channel) {
+  const uint32_t texel = (c->height - 1 - y) * c->width + x;
+  double s[8];
+  for (uint32_t k = 0; k < c->channels; k++) s[k] = stored(c, view, light, texel, k, fabs);
+  switch (c->colour_model) {
+  case 0:
+    return s[channel];
+  case 1:
+    return channel == 0   ? s[0] + 1.13983 * s[2]
+           : channel == 1 ? s[0] + 0.39465 * s[1] + 0.5806 * s[2]
+                          : s[0] + 2.03211 * s[1];
+  case 3:
+    return s[0] * fabs(colour_constant(3 + channel)) + s[1] * fabs(colour_constant(6 + channel)) +
+           s[2] * fabs(colour_constant(9 + channel)) + fabs(colour_constant(channel));
+  case 4:
+    return channel == 1 ? s[0] + s[2] : s[0] + s[1] + s[2];
+  default:
+    fail_msg("%s: samples are no sums", c->label);
+    return 0;
+  }
 }

@@ -46,6 +46,10 @@ bonn_bytes bonn_case_write(const bonn_case *c);
 double bonn_case_sample(const bonn_case *c, uint32_t view, uint32_t light, uint32_t x, uint32_t y,
                         uint32_t channel);
 
+/* What rounding of a sample scales with, where it is a sum: the sum of the sizes of all products in it. */
+double bonn_case_size(const bonn_case *c, uint32_t view, uint32_t light, uint32_t x, uint32_t y,
+                      uint32_t channel);
+
 /* The case of that label. */
 bonn_case bonn_case_named(const char *label);
 

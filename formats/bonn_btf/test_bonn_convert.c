@@ -5,11 +5,9 @@
 #include "../source/test_format.h"
 #include "codec_suite.h"
 
-/* Factors are multiples of 1/64 of magnitude up to 1, of which at most 4 a stored channel, or 100 without a
- * colour model, are summed: products are multiples of 2^-12 below 2^12, which floats add up exactly. Colour
- * weights of up to 2.04 are rounded once, and so are 12 products with them and their sums of at most 12.3:
- * 25 * 2^-24 * 12.3 = 1.8e-5 is never reached unless all round the same way where all are largest; half of it
- * is for every sample. */
+/* Of the sum of the sizes of all products in a sample. Each of up to 100 products, or of 12 with a colour
+ * model, is rounded once when it is added, and its two numbers and the colour weight once each: (100 + 3) *
+ * 2^-24 = 6.2e-6 at most. */
 static const double exact = 1e-5;
 
 typedef struct conversion {
@@ -56,7 +54,8 @@ static uint32_t below(uint64_t *seed, uint32_t n) {
   return (uint32_t)((*seed >> 33) % n);
 }
 
-static void compare(const conversion *t, const btf_model *model, double tolerance) {
+/* `storage` is what storing makes of values of about 1, or `exact`. */
+static void compare(const conversion *t, const btf_model *model, double storage) {
   const bonn_case *c = &t->c;
   uint64_t seed = 1;
   double worst = 0;
@@ -78,17 +77,17 @@ static void compare(const conversion *t, const btf_model *model, double toleranc
     btf_model_eval_as(model, &query, BTF_VALUE_STORED, value);
     for (uint32_t k = 0; k < c->channels; k++) {
       const double expected = bonn_case_sample(c, view, light, x, y, k);
-      const double unit = fmax(1, fabs(expected)), bound = tolerance * unit;
+      const double unit = storage > exact ? fmax(1, fabs(expected)) : bonn_case_size(c, view, light, x, y, k),
+                   bound = storage * unit;
       worst = fmax(worst, fmax(fabs(texel[k] - expected), fabs(value[k] - expected)) / unit);
       if (!(fabs(texel[k] - expected) <= bound) || !(fabs(value[k] - expected) <= bound))
         fail_msg("%s: view %u light %u texel %u %u channel %u: %.9g and %.9g instead of %.9g", c->label, view,
                  light, x, y, k, (double)texel[k], (double)value[k], expected);
     }
   }
-  print_message(
-      "%s%s, %u bytes a number: largest difference of 10000 samples, relative to the larger of 1 and "
-      "the value: %.3g\n",
-      c->label, c->uneven ? ", all bits" : "", c->scalar_size, worst);
+  print_message("%s%s, %u bytes a number: largest difference of 10000 samples %.3g, relative to %s\n",
+                c->label, c->uneven ? ", all bits" : "", c->scalar_size, worst,
+                storage > exact ? "the larger of 1 and the value" : "the sum of the sizes of its products");
 }
 
 /* Between the samples, the model interpolates what the file's samples are as a model of their own. */
