@@ -36,7 +36,7 @@ static int choose_target(const cli *c, const input *in, const char *path, const 
   if (output_ends_with(path, ".btfz")) return choose_codec(in, to);
   if (output_ends_with(path, ".btfd")) *to = "folder";
   if (*to != NULL) return EXIT_DONE;
-  return cli_usage(c, "%s: its name does not tell what to convert to; --to does", path);
+  return cli_usage(c, "%s: its name does not tell what to convert to; --to does (btf convert --list)", path);
 }
 
 /* ---- containers ---- */

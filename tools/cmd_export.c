@@ -25,12 +25,18 @@ static uint64_t level_bytes(const btf_gpu_texture *t) {
   return bytes;
 }
 
+static int fail_dataset(const input *in) {
+  return cli_fail(EXIT_UNSUPPORTED, "%s: a data set exports nothing; btf encode makes a model of it",
+                  in->path);
+}
+
 static int list_layouts(cli *c, const input *in) {
   btf_model_info info = BTF_MODEL_INFO_INIT;
   const btf_status status = btf_model_describe(in->model, &info);
   if (status != BTF_OK) return cli_fail_library(status);
   const btf_codec *codec = btf_codec_find(c->context, info.codec_id);
   const char *name, *summary;
+  if (in->dataset != NULL) return fail_dataset(in);
   for (uint32_t i = 0; codec != NULL && (name = btf_codec_gpu_layout(codec, i, &summary)) != NULL; i++)
     printf("%-14s %s%s\n", name, summary, i == 0 ? " (default)" : "");
   return cli_flush();
@@ -58,7 +64,8 @@ static int print_text(const btf_gpu_export *e, const btf_gpu_cost *cost) {
          " bytes of texels; an evaluation reads %.0f texels (%.0f bytes) and takes %.0f operations\n",
          total, cost->fetches, cost->bytes, cost->flops);
   if (cost->psnr_db != 0.0)
-    printf("blocks save %.0f bytes (%.0f %%) and keep the components of their tables at %.1f dB\n",
+    printf("blocks save %.0f bytes (%.0f %%); what they hold, components of sums, is kept at %.1f dB, "
+           "results are better\n",
            cost->saved_bytes, 100.0 * cost->saved_bytes / (cost->saved_bytes + cost->texture_bytes),
            cost->psnr_db);
   return cli_flush();
@@ -89,9 +96,7 @@ static int export_model(cli *c, const input *in, const char *path, const btf_gpu
   char *page = NULL;
   size_t page_size = 0;
   int failed = EXIT_DONE;
-  if (status == BTF_E_UNSUPPORTED && in->dataset != NULL)
-    return cli_fail(EXIT_UNSUPPORTED, "%s: a data set exports nothing; btf encode makes a model of it",
-                    in->path);
+  if (status == BTF_E_UNSUPPORTED && in->dataset != NULL) return fail_dataset(in);
   if (status != BTF_OK) return cli_fail_library(status);
   if (cli_has(c, "viewer")) failed = viewer_page_create(e, zstd, &page, &page_size);
   if (!failed) {
@@ -122,6 +127,7 @@ static int run(cli *c) {
     return cli_usage(c, "--list writes nothing and takes no -o");
   int failed = cli_has(c, "list") ? EXIT_DONE : cli_required(c, "output", &path);
   if (!failed) failed = cli_uint32(c, "max-size", 16, 1u << 20, &target.max_2d);
+  if (!failed) failed = cli_uint32(c, "max-3d", 16, 1u << 16, &target.max_3d);
   if (!failed) failed = cli_uint32(c, "max-layers", 1, 1u << 16, &target.max_layers);
   if (!failed) failed = cli_uint32(c, "max-textures", 1, 64, &target.max_textures);
   if (!failed) failed = cli_uint32(c, "zstd", 0, 22, &zstd);
@@ -142,6 +148,7 @@ static const cli_option options[] = {
     {"compress", 0, "bc", "compress textures in blocks, BC7 and BC6H, and say what is lost", 0},
     {"zstd", 0, "N", "compress the texture files at this zstd level (default 0 = not at all)", 0},
     {"max-size", 0, "N", "most texels along a side of a 2D texture (default 8192)", 0},
+    {"max-3d", 0, "N", "most texels along a side of a 3D texture (default 2048)", 0},
     {"max-layers", 0, "N", "most layers of an array (default 256)", 0},
     {"max-textures", 0, "N", "most textures (default 16)", 0},
     CLI_OPTION_JSON,

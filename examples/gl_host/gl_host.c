@@ -2,7 +2,9 @@
 /*
  * A renderer's side of an export, in OpenGL ES 3: uploads a model's textures and numbers, puts its shader
  * before one's own, and draws a lit sphere to a picture; or, if built with GLFW, in a window where the light
- * follows the cursor. example_gl_host wool.btfz wool.png example_gl_host wool.btfz
+ * follows the cursor.
+ *
+ *     example_gl_host wool.btfz [wool.png]
  */
 #include <btf/btf.h>
 
@@ -76,11 +78,14 @@ static void add_shader(GLuint program, GLenum kind, const char *model, const cha
 static const char *load(const btf_gpu_export *e, GLuint program) {
   const char *wrong = NULL;
   GLuint block;
+  GLint linked;
   size_t size;
   const void *numbers = btf_gpu_uniforms(e, &size);
   add_shader(program, GL_VERTEX_SHADER, "", sphere_vertices);
   add_shader(program, GL_FRAGMENT_SHADER, btf_gpu_glsl(e), sphere_fragments);
   glLinkProgram(program);
+  glGetProgramiv(program, GL_LINK_STATUS, &linked);
+  if (!linked) return "the shader does not compile";
   glUseProgram(program);
   for (uint32_t i = 0; wrong == NULL && i < btf_gpu_texture_count(e); i++) {
     btf_gpu_texture t = BTF_GPU_TEXTURE_INIT;

@@ -259,13 +259,16 @@ static btf_status no_message(btf_context *ctx, btf_status code, const char *form
   return code;
 }
 
-bool images_archive_looks_right(const btf_host *host, btf_context *ctx, const char *path) {
+/* Of an archive without directory nobody can tell what is in it, but opening it says what is wrong. */
+enum { RIGHT_ARCHIVE = 80, CUT_ARCHIVE = 5 };
+
+uint32_t images_archive_probe(const btf_host *host, btf_context *ctx, const char *path) {
   btf_host silent = *host;
   source_file source;
   char name[IMAGES_NAME_BYTES];
   bool found = false;
   silent.fail = no_message;
-  if (source_file_open(&silent, ctx, path, &source) != BTF_OK) return false;
+  if (source_file_open(&silent, ctx, path, &source) != BTF_OK) return 0;
   mapping map = {&source, 0};
   unzFile directory = open_directory(&map);
   int at = directory != NULL ? unzGoToFirstFile(directory) : UNZ_BADZIPFILE;
@@ -279,7 +282,8 @@ bool images_archive_looks_right(const btf_host *host, btf_context *ctx, const ch
     found = images_parse_name(name, &pair, &differs, &fault) == IMAGE_NAME_PAIR;
     at = unzGoToNextFile(directory);
   }
+  const uint32_t score = directory == NULL ? CUT_ARCHIVE : found ? RIGHT_ARCHIVE : 0;
   if (directory != NULL) (void)unzClose(directory);
   source_file_close(&source);
-  return found;
+  return score;
 }

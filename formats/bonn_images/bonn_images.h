@@ -87,7 +87,7 @@ btf_status images_list_add(images_file *file, const char *name, const image_entr
 btf_status images_list_archive(images_file *file);
 btf_status images_list_folder(images_file *file);
 /* Whether there is a picture's name among the first few members. */
-bool images_archive_looks_right(const btf_host *host, btf_context *ctx, const char *path);
+uint32_t images_archive_probe(const btf_host *host, btf_context *ctx, const char *path);
 bool images_folder_looks_right(const char *path);
 
 /* Room that grows, for one picture's bytes. */

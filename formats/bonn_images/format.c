@@ -41,7 +41,7 @@ static uint32_t probe(const btf_host *host, btf_context *ctx, const btf_probe *p
   if (probe->is_folder) return images_folder_looks_right(probe->path) ? 70 : 0;
   if (probe->head_size < sizeof local_header || memcmp(probe->head, local_header, sizeof local_header) != 0)
     return 0;
-  return images_archive_looks_right(host, ctx, probe->path) ? 80 : 0;
+  return images_archive_probe(host, ctx, probe->path);
 }
 
 static void release(void *user) {

@@ -78,7 +78,7 @@ typedef struct btf_gpu_uniform {
  *  it are compressed, and only where that saves bytes; directions, indices and scales stay as they are. */
 enum { BTF_GPU_COMPRESS_NONE = 0, BTF_GPU_COMPRESS_BC = 1 };
 
-/** What the graphics interface can take. All 0 = what every WebGL 2 and desktop driver takes: 8192, 2048, 256, 16. */
+/** What the graphics interface can take. All 0 = what desktop drivers and nearly all of WebGL 2 take: 8192, 2048, 256, 16. */
 typedef struct btf_gpu_target {
   size_t struct_size;
   /** Name of a layout (btf_codec_gpu_layout); NULL = the codec's first. */

@@ -112,12 +112,18 @@ static btf_status make_texture(btf_gpu_builder *b, const btf_gpu_table *t, const
   btfi_gpu_texture *texture = &b->texture[b->texture_count];
   char name[BTFI_GPU_NAME];
   btfi_gpu_page_name(pages, page, name);
-  if (b->texture_count == b->target.max_textures || b->texture_count == BTFI_GPU_TEXTURES)
+  if (b->texture_count == BTFI_GPU_TEXTURES)
     return btfi_fail(
         b->ctx, BTF_E_LIMIT,
-        "GPU export: with %s there would be %u textures, more than the target's %u; a model with "
-        "fewer components, or a target with more layers, would do",
-        name, (unsigned)b->texture_count + 1, (unsigned)b->texture_count);
+        "GPU export: %s would be a texture more than the %d that an export has; a model with fewer "
+        "components would do",
+        name, BTFI_GPU_TEXTURES);
+  if (b->texture_count == b->target.max_textures)
+    return btfi_fail(b->ctx, BTF_E_LIMIT,
+                     "GPU export: with %s there would be %u textures, more than the target's %u; %s would do",
+                     name, (unsigned)b->texture_count + 1, (unsigned)b->texture_count,
+                     pages->pages > 1 ? "a model with fewer components, or a target with more layers,"
+                                      : "a target with more textures");
   memcpy(texture->name, name, sizeof name);
   texture->dimension = (t->flags & BTF_GPU_STACK) != 0 ? BTF_TEXTURE_3D
                        : t->slices > 1                 ? BTF_TEXTURE_2D_ARRAY

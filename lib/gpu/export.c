@@ -2,6 +2,7 @@
 /* export.c: a model made ready for a GPU. */
 #include "gpu/gpu.h"
 
+#include <stdio.h>
 #include <string.h>
 
 /* ---- targets ---- */
@@ -31,8 +32,12 @@ static btf_status find_layout(btf_context *ctx, const btf_codec_vtbl *v, const c
   if (name == NULL) return BTF_OK;
   for (; v->gpu_layouts[*out] != NULL; ++*out)
     if (strcmp(v->gpu_layouts[*out]->name, name) == 0) return BTF_OK;
-  return btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: no layout \"%.80s\"; the first is \"%s\"", v->id, name,
-                   v->gpu_layouts[0]->name);
+  char names[160] = "";
+  size_t length = 0;
+  for (uint32_t i = 0; v->gpu_layouts[i] != NULL && length < sizeof names; i++)
+    length += (size_t)snprintf(names + length, sizeof names - length, "%s%s", i > 0 ? ", " : "",
+                               v->gpu_layouts[i]->name);
+  return btfi_fail(ctx, BTF_E_INVALID_ARG, "%s: no layout \"%.80s\"; there are %s", v->id, name, names);
 }
 
 const char *btf_codec_gpu_layout(const btf_codec *codec, uint32_t i, const char **summary) {

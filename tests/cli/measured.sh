@@ -125,6 +125,9 @@ END
   expect_numbers "codes of a zip of images" "0.784313738 0.117647059 0.627451003"
   run import gaps.zip -o x.btfd
   expect "import of a zip with gaps" 3 "1 of 6561 images are missing: tl000 pl000 tv060 pv054"
+  head -c 20000 gaps.zip >half.zip
+  run info half.zip
+  expect "an archive that was cut short" 3 "no directory of a zip archive"
   run import gaps.zip -o filled.btfd --allow-missing --transfer linear
   expect "import --allow-missing" 0
   grep -q "2 of 6561 images are missing and filled in" err.txt && pass || fail "how many are filled is told" "$err"
