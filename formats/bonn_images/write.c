@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* write.c: a folder of 81 x 81 pictures from any samples of these directions. */
+/* write.c: a folder of 81 x 81 pictures from any samples, blended where their directions are others. */
 #include <stdio.h>
 
 #include "bonn_images/bonn_images.h"
@@ -20,6 +20,14 @@ typedef struct made_image {
   picture_fault fault;
 } made_image;
 
+/* The lights or views in the order they are written. */
+typedef struct written_axis {
+  bool resampled;
+  uint32_t of[IMAGES_DIRECTIONS];   /* which of the 81 it is */
+  btf_interp at[IMAGES_DIRECTIONS]; /* the samples it is blended of, in ascending order */
+  float farthest;                   /* largest chord from one of the 81 to its nearest sample */
+} written_axis;
+
 typedef struct writing {
   const btf_host *host;
   btf_context *ctx;
@@ -27,12 +35,15 @@ typedef struct writing {
   const btf_job *job;
   btf_dataset_desc desc;
   const btf_dataset *ds;
-  image_encoding encoding;                                          /* all but its factor */
-  uint32_t light_of[IMAGES_DIRECTIONS], view_of[IMAGES_DIRECTIONS]; /* which of the 81 it is */
-  float cosine[IMAGES_DIRECTIONS]; /* of each light, or 1 where it is in the samples */
+  image_encoding encoding; /* all but its factor */
+  written_axis lights, views;
+  float cosine[IMAGES_DIRECTIONS]; /* of each light written, or 1 where it is in the samples */
   uint64_t samples_each, most_bytes, row_bytes;
   uint32_t at_once, light0;
   float *samples;
+  float *sources; /* lights source0 .. source0 + source_count - 1 of a view, where pictures are blended */
+  uint32_t sources_at_once, source0, source_count;
+  float source_weight; /* of their view */
   unsigned char *room, *rows;
   made_image *made;
   uint64_t clipped;
@@ -63,19 +74,24 @@ static int32_t is_own(const char *name) {
   return strcmp(name, expected[0]) == 0 || strcmp(name, expected[1]) == 0;
 }
 
-/* ---- what can be written ---- */
+/* ---- directions ---- */
+
+/* From a direction to the nearest of a set, whose number is *nearest. */
+static float nearest_chord(const btf_host *host, const btf_dirset *set, const float *a, uint32_t *nearest) {
+  *nearest = (host->dirset_nearest)(set, a);
+  const float *b = (host->dirset_directions)(set) + 3 * (size_t)*nearest;
+  return hypotf(hypotf(a[0] - b[0], a[1] - b[1]), a[2] - b[2]);
+}
 
 /* Where each direction is among the 81; false unless each of them is there once. */
-static bool match(const writing *w, const btf_dirset *set, const btf_dirset *table,
+static bool match(const btf_host *host, const btf_dirset *set, const btf_dirset *table,
                   uint32_t of[IMAGES_DIRECTIONS]) {
-  const float *given = (w->host->dirset_directions)(set), *wanted = (w->host->dirset_directions)(table);
+  const float *given = (host->dirset_directions)(set);
   bool taken[IMAGES_DIRECTIONS] = {false};
-  if ((w->host->dirset_count)(set) != IMAGES_DIRECTIONS) return false;
+  if ((host->dirset_count)(set) != IMAGES_DIRECTIONS) return false;
   for (size_t i = 0; i < IMAGES_DIRECTIONS; i++) {
-    const float *a = given + 3 * i;
-    const uint32_t nearest = (w->host->dirset_nearest)(table, a);
-    const float *b = wanted + 3 * (size_t)nearest;
-    const float chord = hypotf(hypotf(a[0] - b[0], a[1] - b[1]), a[2] - b[2]);
+    uint32_t nearest;
+    const float chord = nearest_chord(host, table, given + 3 * i, &nearest);
     if (!(chord <= angle_tolerance) || taken[nearest]) return false;
     taken[nearest] = true;
     of[i] = nearest;
@@ -83,18 +99,52 @@ static bool match(const writing *w, const btf_dirset *set, const btf_dirset *tab
   return true;
 }
 
-static btf_status check_directions(writing *w) {
-  btf_dirset *table = NULL;
-  BTF_TRY((w->host->dirset_create_named)(w->ctx, "ubo81", &table));
-  const bool views = match(w, w->desc.views, table, w->view_of),
-             lights = match(w, w->desc.lights, table, w->light_of);
-  (w->host->dirset_release)(table);
-  if (views && lights) return BTF_OK;
-  return (w->host->fail)(w->ctx, BTF_E_UNSUPPORTED,
-                         "%s: its %u %s are not the 81 directions of ubo81, which this format has only",
-                         w->path, (w->host->dirset_count)(views ? w->desc.lights : w->desc.views),
-                         views ? "lights" : "views");
+/* Sums then do not depend on how many samples are in memory at once. */
+static void sort_interp(btf_interp *at) {
+  for (int i = 1; i < 3; i++)
+    for (int k = i; k > 0 && at->index[k] < at->index[k - 1]; k--) {
+      const uint32_t index = at->index[k];
+      const float weight = at->weight[k];
+      at->index[k] = at->index[k - 1];
+      at->weight[k] = at->weight[k - 1];
+      at->index[k - 1] = index;
+      at->weight[k - 1] = weight;
+    }
 }
+
+static void plan_axis(const btf_host *host, const btf_dirset *set, const btf_dirset *table,
+                      written_axis *axis) {
+  const float *wanted = (host->dirset_directions)(table);
+  axis->resampled = !match(host, set, table, axis->of);
+  for (uint32_t i = 0; i < IMAGES_DIRECTIONS; i++) {
+    axis->at[i] = (btf_interp){.index = {i, i, i}, .weight = {1, 0, 0}};
+    if (!axis->resampled) continue;
+    uint32_t nearest;
+    axis->of[i] = i;
+    (host->dirset_locate)(set, wanted + 3 * (size_t)i, &axis->at[i]);
+    sort_interp(&axis->at[i]);
+    axis->farthest = fmaxf(axis->farthest, nearest_chord(host, set, wanted + 3 * (size_t)i, &nearest));
+  }
+}
+
+static btf_status plan_directions(writing *w) {
+  const btf_host *host = w->host;
+  btf_dirset *table = NULL;
+  BTF_TRY((host->dirset_create_named)(w->ctx, "ubo81", &table));
+  plan_axis(host, w->desc.lights, table, &w->lights);
+  plan_axis(host, w->desc.views, table, &w->views);
+  const float *lights = (host->dirset_directions)(w->lights.resampled ? table : w->desc.lights);
+  for (size_t l = 0; l < IMAGES_DIRECTIONS; l++)
+    w->cosine[l] = w->desc.quantity == BTF_QUANTITY_BRDF_COS ? 1 : lights[3 * l + 2];
+  (host->dirset_release)(table);
+  return BTF_OK;
+}
+
+static bool is_resampled(const writing *w) {
+  return w->lights.resampled || w->views.resampled;
+}
+
+/* ---- what can be written ---- */
 
 static btf_status check_shape(writing *w) {
   const image_encoding *e = &w->encoding;
@@ -122,10 +172,7 @@ static btf_status prepare(writing *w, const btf_options *options, const btf_data
     return (host->fail)(w->ctx, BTF_E_INVALID_ARG, "%s: Radiance images are linear; transfer=srgb is for PNG",
                         w->path);
   BTF_TRY(check_shape(w));
-  BTF_TRY(check_directions(w));
-  const float *lights = (host->dirset_directions)(w->desc.lights);
-  for (size_t l = 0; l < IMAGES_DIRECTIONS; l++)
-    w->cosine[l] = w->desc.quantity == BTF_QUANTITY_BRDF_COS ? 1 : lights[3 * l + 2];
+  BTF_TRY(plan_directions(w));
   w->samples_each = (uint64_t)w->desc.width * w->desc.height * w->desc.channels;
   w->most_bytes = images_encoded_most(&w->encoding);
   w->row_bytes = images_row_bytes(&w->encoding);
@@ -135,8 +182,9 @@ static btf_status prepare(writing *w, const btf_options *options, const btf_data
 /* As many pictures of one view at once as fit. */
 static btf_status make_room(writing *w) {
   const btf_host *host = w->host;
-  const uint64_t threads = (host->thread_count)(w->ctx), fixed = threads * (w->row_bytes + LIBRARY_BYTES);
-  const uint64_t each = w->samples_each * sizeof(float) + w->most_bytes + sizeof(made_image);
+  const uint64_t threads = (host->thread_count)(w->ctx), picture = w->samples_each * sizeof(float);
+  const uint64_t fixed = threads * (w->row_bytes + LIBRARY_BYTES) + (is_resampled(w) ? picture : 0);
+  const uint64_t each = picture + w->most_bytes + sizeof(made_image);
   const uint64_t budget = w->job->max_working_set;
   if (budget < fixed + each)
     return (host->fail)(w->ctx, BTF_E_LIMIT,
@@ -148,7 +196,13 @@ static btf_status make_room(writing *w) {
   w->room = (host->alloc)(w->ctx, w->at_once, w->most_bytes);
   w->rows = (host->alloc)(w->ctx, threads, w->row_bytes);
   w->made = (host->alloc)(w->ctx, w->at_once, sizeof *w->made);
-  return w->samples == NULL || w->room == NULL || w->rows == NULL || w->made == NULL ? BTF_E_NOMEM : BTF_OK;
+  if (w->samples == NULL || w->room == NULL || w->rows == NULL || w->made == NULL) return BTF_E_NOMEM;
+  if (!is_resampled(w)) return BTF_OK;
+  const uint64_t sources = 1 + (budget - fixed - w->at_once * each) / picture;
+  const uint32_t lights = (host->dirset_count)(w->desc.lights);
+  w->sources_at_once = sources < lights ? (uint32_t)sources : lights;
+  w->sources = (host->alloc)(w->ctx, w->sources_at_once, picture);
+  return w->sources == NULL ? BTF_E_NOMEM : BTF_OK;
 }
 
 /* ---- pictures ---- */
@@ -163,25 +217,74 @@ static void encode_one(void *job, uint32_t i, uint32_t thread) {
                 &made->clipped, &made->fault);
 }
 
-static btf_status put_block(writing *w, btf_new_folder *folder, uint32_t view, uint32_t count) {
-  const btf_host *host = w->host;
+static btf_status read_pictures(const writing *w, uint32_t view, uint32_t light0, uint32_t lights,
+                                float *samples) {
   const ptrdiff_t channel = sizeof(float), x = channel * (ptrdiff_t)w->desc.channels,
                   y = x * (ptrdiff_t)w->desc.width, light = y * (ptrdiff_t)w->desc.height;
   const btf_strides strides = {
-      .view = light * IMAGES_DIRECTIONS, .light = light, .y = y, .x = x, .channel = channel};
+      .view = light * (ptrdiff_t)lights, .light = light, .y = y, .x = x, .channel = channel};
   const btf_block block = {.view0 = view,
                            .views = 1,
-                           .light0 = w->light0,
-                           .lights = count,
+                           .light0 = light0,
+                           .lights = lights,
                            .width = w->desc.width,
                            .height = w->desc.height};
-  BTF_TRY((host->dataset_read)(w->ds, &block, w->samples, &strides));
+  return (w->host->dataset_read)(w->ds, &block, samples, &strides);
+}
+
+static void add_sources(void *job, uint32_t i, uint32_t thread) {
+  const writing *w = job;
+  const btf_interp *at = &w->lights.at[w->light0 + i];
+  float *sum = w->samples + i * w->samples_each;
+  (void)thread;
+  for (int k = 0; k < 3; k++) {
+    const float weight = w->source_weight * at->weight[k];
+    if (!(weight > 0) || at->index[k] < w->source0 || at->index[k] - w->source0 >= w->source_count) continue;
+    const float *source = w->sources + (at->index[k] - w->source0) * w->samples_each;
+    for (uint64_t s = 0; s < w->samples_each; s++) sum[s] += weight * source[s];
+  }
+}
+
+/* The first light from `from` on that the next `count` pictures need; images_none: there is none. */
+static uint32_t next_source(const writing *w, uint32_t count, uint32_t from) {
+  uint32_t next = images_none;
+  for (uint32_t i = w->light0; i < w->light0 + count; i++)
+    for (int k = 0; k < 3; k++) {
+      const uint32_t light = w->lights.at[i].index[k];
+      if (w->lights.at[i].weight[k] > 0 && light >= from && light < next) next = light;
+    }
+  return next;
+}
+
+static btf_status blend_pictures(writing *w, uint32_t view, uint32_t count) {
+  const btf_interp *views = &w->views.at[view];
+  memset(w->samples, 0, (size_t)(w->samples_each * count) * sizeof(float));
+  for (int k = 0; k < 3; k++) {
+    if (!(views->weight[k] > 0)) continue;
+    w->source_weight = views->weight[k];
+    w->source0 = next_source(w, count, 0);
+    while (w->source0 != images_none) {
+      uint32_t end = w->source0 + 1;
+      while (end - w->source0 < w->sources_at_once && next_source(w, count, end) == end) end++;
+      w->source_count = end - w->source0;
+      BTF_TRY(read_pictures(w, views->index[k], w->source0, w->source_count, w->sources));
+      BTF_TRY((w->host->parallel)(w->ctx, count, add_sources, w));
+      w->source0 = next_source(w, count, end);
+    }
+  }
+  return BTF_OK;
+}
+
+static btf_status put_block(writing *w, btf_new_folder *folder, uint32_t view, uint32_t count) {
+  const btf_host *host = w->host;
+  BTF_TRY(is_resampled(w) ? blend_pictures(w, view, count)
+                          : read_pictures(w, view, w->light0, count, w->samples));
   BTF_TRY((host->parallel)(w->ctx, count, encode_one, w));
   for (uint32_t i = 0; i < count; i++) {
     const made_image *made = &w->made[i];
     char name[64];
-    name_of(w->view_of[view] * IMAGES_DIRECTIONS + w->light_of[w->light0 + i], extension_of(w->encoding.kind),
-            name);
+    name_of(w->views.of[view] * IMAGES_DIRECTIONS + w->lights.of[w->light0 + i],
+            extension_of(w->encoding.kind), name);
     if (made->fault.status == BTF_E_NOMEM) return BTF_E_NOMEM;
     if (made->fault.status != BTF_OK)
       return (host->fail)(w->ctx, made->fault.status, "%s: %s: %s", w->path, name, made->fault.why);
@@ -212,6 +315,13 @@ static btf_status write_prepared(writing *w) {
   btf_status status = put_all(w, folder);
   const btf_status ended = (w->host->folder_end)(folder, status != BTF_OK);
   if (status == BTF_OK) status = ended;
+  if (status == BTF_OK && is_resampled(w))
+    (w->host->log)(w->ctx, BTF_LOG_WARNING,
+                   "%s: interpolated at the 81 directions of ubo81 from %u lights and %u views; the nearest "
+                   "sample is up to %.3g degrees away",
+                   w->path, (w->host->dirset_count)(w->desc.lights), (w->host->dirset_count)(w->desc.views),
+                   2 * asin(fmin(1, (double)fmaxf(w->lights.farthest, w->views.farthest) / 2)) * 180 /
+                       acos(-1.0));
   if (status == BTF_OK && w->clipped > 0)
     (w->host->log)(w->ctx, BTF_LOG_WARNING,
                    "%s: %llu of %.0f samples were beyond what the images hold, %s, "
@@ -229,6 +339,7 @@ btf_status images_write(const btf_host *host, btf_context *ctx, const char *path
   btf_status status = prepare(w, options, ds);
   if (status == BTF_OK) status = write_prepared(w);
   (host->free)(ctx, w->samples);
+  (host->free)(ctx, w->sources);
   (host->free)(ctx, w->room);
   (host->free)(ctx, w->rows);
   (host->free)(ctx, w->made);

@@ -133,8 +133,8 @@ END
     expect "write images anew" 0 "again: bonn-images"
     diff -rq "$shelf/images" "$shelf/again" >/dev/null && pass || fail "images that were read come out again"
     run convert measured.jpg "$shelf/other" --to bonn-images
-    expect "images of other directions" 5 "81 directions of ubo81"
-    [ "$(ls -A "$shelf" | tr '\n' ' ')" = "again images " ] && pass || fail "a failed conversion left something behind"
+    expect "images of other directions" 0 "other: bonn-images"
+    case $err in *"nearest sample is up to"*) pass ;; *) fail "interpolated images are told" "$err" ;; esac
     rm -rf "$shelf"
   else
     skip "convert: no images"

@@ -32,6 +32,7 @@ enum { LEAST_VARIANTS = 150, MOST_MIB = 256 };
  * memory. */
 static const double most_seconds = SANITIZED ? 60 : 2;
 
+enum { MALFORMED = 3 };
 static const char *tool, *work;
 static unsigned failures;
 static double longest;
@@ -47,18 +48,11 @@ static void die(const char *what) {
   exit(2);
 }
 
-/* As docs/command-line.md says. */
-static int exit_of(btf_status status) {
-  switch (status) {
-  case BTF_E_IO:
-    return 2;
-  case BTF_E_LIMIT:
-    return 6;
-  case BTF_E_UNSUPPORTED:
-    return 5;
-  default:
-    return 3;
-  }
+/* As docs/command-line.md says, by the tens that statuses are numbered in. */
+static int exit_of(int status) {
+  if (status == BTF_E_IO) return 2;
+  if (status == BTF_E_LIMIT || status == BTF_E_NOMEM) return 6;
+  return status / 10 == 0 ? 1 : status / 10 == 2 ? MALFORMED : status / 10 == 3 ? 5 : 7;
 }
 
 static bool is_empty(const char *folder) {
@@ -96,24 +90,23 @@ static double seconds(struct timeval t) {
   return (double)t.tv_sec + 1e-6 * (double)t.tv_usec;
 }
 
+/* With id NULL the format is left to be recognised, which what is damaged need not be. */
 static void check(const char *command, const char *id, const char *path, int expected) {
-  char *arguments[] = {(char *)"btf",
-                       (char *)(uintptr_t)command,
-                       (char *)(uintptr_t)path,
-                       (char *)"--format",
-                       (char *)(uintptr_t)id,
-                       NULL,
-                       NULL,
-                       NULL};
+  const char *arguments[8] = {"btf", command, path};
+  int used = 3;
   char said[4096], why[256];
   struct rusage usage;
-  if (strcmp(command, "import") == 0) {
-    arguments[5] = (char *)"-o";
-    arguments[6] = (char *)"out.btfd";
+  if (id != NULL) {
+    arguments[used++] = "--format";
+    arguments[used++] = id;
   }
-  const int status = run(arguments, said, &usage);
+  if (strcmp(command, "import") == 0) {
+    arguments[used++] = "-o";
+    arguments[used++] = "out.btfd";
+  }
+  const int status = run((char *const *)(uintptr_t)arguments, said, &usage);
   const char *end = strchr(said, '\n');
-  if (status != expected) {
+  if (status != expected && (id != NULL || status != MALFORMED)) {
     snprintf(why, sizeof why, "status %d instead of %d: %.150s", status, expected, said);
     fail(command, path, why);
   } else if (strncmp(said, "btf: ", 5) != 0 || end == NULL || end[1] != '\0') {
@@ -156,8 +149,8 @@ static unsigned check_format(const char *folder, const char *name) {
     char stage[8];
     if (sscanf(names[i]->d_name, "%d-%7[a-z]-", &status, stage) != 2) die(names[i]->d_name);
     snprintf(path, sizeof path, "%s/%s/%s", folder, name, names[i]->d_name);
-    if (strcmp(stage, "open") == 0) check("info", id, path, exit_of((btf_status)status));
-    check("import", id, path, exit_of((btf_status)status));
+    if (strcmp(stage, "open") == 0) check("info", id, path, exit_of(status));
+    check("import", i % 2 == 0 ? id : NULL, path, exit_of(status));
     free(names[i]);
   }
   free(names);
