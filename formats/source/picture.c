@@ -99,12 +99,13 @@ btf_status picture_look(const unsigned char *data, size_t size, picture_info *in
   return BTF_OK;
 }
 
-/* Four samples are stored at once: a store for each takes as long as decoding the JPEG. */
+/* Eight samples are stored at once: a store for each takes as long as decoding the JPEG. */
 static void look_up_halves(const unsigned char *codes, size_t count, const uint16_t *table, uint16_t *dst) {
   size_t i = 0;
-  for (; i + 4 <= count; i += 4) {
-    const uint16_t four[4] = {table[codes[i]], table[codes[i + 1]], table[codes[i + 2]], table[codes[i + 3]]};
-    memcpy(dst + i, four, sizeof four);
+  for (; i + 8 <= count; i += 8) {
+    uint16_t eight[8];
+    for (int k = 0; k < 8; k++) eight[k] = table[codes[i + (size_t)k]];
+    memcpy(dst + i, eight, sizeof eight);
   }
   for (; i < count; i++) dst[i] = table[codes[i]];
 }
