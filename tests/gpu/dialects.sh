@@ -37,7 +37,12 @@ shader() {
 
 "$btf" synth bumps -o "$work/m.btfd" --size 8x8 --directions grid:4x2 --spp 1 --quiet || { echo "skipped: no materials"; exit 77; }
 for codec in $("$btf" codecs --json | grep -o '"id": *"[a-z]*"' | cut -d'"' -f4); do
-  "$btf" encode "$work/m.btfd" -o "$work/$codec.btfz" --codec "$codec" --quiet >/dev/null 2>&1 || continue
+  if ! "$btf" encode "$work/m.btfd" -o "$work/$codec.btfz" --codec "$codec" --quiet >"$work/out.txt" 2>&1; then
+    failed=$((failed + 1))
+    echo "FAILED: $codec: encode"
+    head -5 "$work/out.txt"
+    continue
+  fi
   for layout in $("$btf" export "$work/$codec.btfz" --list | awk '{ print $1 }'); do
     folder=$work/$codec-$layout
     check "$codec $layout: export" "$btf" export "$work/$codec.btfz" -o "$folder" --layout "$layout" --quiet

@@ -53,7 +53,8 @@ static const codec_case large_rows[] = {
 
 static void check_materials(gpu_host *host, btf_context *ctx, const codec_case *row,
                             const uint32_t *materials, size_t count) {
-  for (size_t m = 0; m < count; m++) trial_row(host, ctx, row, materials[m], codec_case_channels(row, 3));
+  for (size_t m = 0; m < count; m++)
+    trial_row(host, ctx, row, materials[m], codec_case_channels(row, 3), TRIAL_RANDOM);
 }
 
 static void every_codec(void **state) {
@@ -70,20 +71,21 @@ static void every_codec(void **state) {
     const codec_case *row = &codec_cases[r];
     if (!trial_exports(ctx, row)) continue;
     check_materials(host, ctx, row, materials, sizeof materials / sizeof *materials);
-    if (codec_case_channels(row, 1) == 1) trial_row(host, ctx, row, MATERIAL_SMOOTH, 1);
+    if (codec_case_channels(row, 1) == 1) trial_row(host, ctx, row, MATERIAL_SMOOTH, 1, TRIAL_RANDOM);
     tried++;
   }
   for (size_t r = 0; r < sizeof more_cases / sizeof *more_cases; r++) {
     const codec_case *row = &more_cases[r];
     if (!trial_exports(ctx, row)) continue;
     for (uint32_t n = codec_case_channels(row, 1); n != 0; n = codec_case_channels(row, n + 1)) {
-      trial_row(host, ctx, row, MATERIAL_SMOOTH, n);
-      trial_row(host, ctx, row, MATERIAL_COSINE, n);
+      trial_row(host, ctx, row, MATERIAL_SMOOTH, n, TRIAL_RANDOM);
+      trial_row(host, ctx, row, MATERIAL_COSINE, n, TRIAL_RANDOM);
     }
   }
   assert_true(tried > 0);
   for (size_t r = 0; r < sizeof large_rows / sizeof *large_rows; r++)
-    if (trial_exports(ctx, &large_rows[r])) trial_row(host, ctx, &large_rows[r], MATERIAL_LARGE, 3);
+    if (trial_exports(ctx, &large_rows[r]))
+      trial_row(host, ctx, &large_rows[r], MATERIAL_LARGE, 3, TRIAL_RANDOM);
   btf_context_release(ctx);
   host->close(host);
 }
@@ -97,10 +99,21 @@ static void every_dialect(void **state) {
     gpu_host *host = open_host((gl_dialect)d);
     if (host == NULL) skip();
     print_message("%s\n", gl_dialect_name((gl_dialect)d));
-    trial_first_rows(host, ctx);
+    trial_first_rows(host, ctx, TRIAL_RANDOM);
     host->close(host);
   }
   btf_context_release(ctx);
+}
+
+static void pictures(void **state) {
+  gpu_host *host = open_host(GL_ES_300);
+  btf_context *ctx;
+  (void)state;
+  if (host == NULL) skip();
+  assert_ok(codec_case_context(&defaults, &ctx));
+  trial_first_rows(host, ctx, TRIAL_PICTURE);
+  btf_context_release(ctx);
+  host->close(host);
 }
 
 /* ---- small targets ---- */
@@ -144,7 +157,7 @@ static void small_targets(void **state) {
     if (btf_codec_find(ctx, trials[i].row.codec) == NULL) continue;
     assert_ok(codec_case_fit(ctx, &trials[i].row, &recipe, NULL, NULL, &model));
     if (trials[i].fits) {
-      const trial_errors e = trial_run(host, model, &target, 0, NULL, &cost);
+      const trial_errors e = trial_run(host, model, &target, 0, TRIAL_RANDOM, NULL, &cost);
       print_message("%s %s: largest %.2g\n", trials[i].row.codec, target.layout, e.largest / e.peak);
       assert_true(e.beyond <= TRIAL_TOLERANCE * e.peak);
     } else {
@@ -169,6 +182,7 @@ static void faults_are_noticed(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {cmocka_unit_test(every_codec), cmocka_unit_test(every_dialect),
-                                     cmocka_unit_test(small_targets), cmocka_unit_test(faults_are_noticed)};
+                                     cmocka_unit_test(pictures), cmocka_unit_test(small_targets),
+                                     cmocka_unit_test(faults_are_noticed)};
   return btf_run("gpu", tests);
 }

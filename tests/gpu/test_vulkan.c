@@ -19,7 +19,8 @@ static btf_context *make_context(void) {
 static void every_codec(void **state) {
   btf_context *ctx = make_context();
   (void)state;
-  trial_first_rows(host, ctx);
+  trial_first_rows(host, ctx, TRIAL_RANDOM);
+  trial_first_rows(host, ctx, TRIAL_PICTURE);
   btf_context_release(ctx);
 }
 

@@ -17,6 +17,9 @@ typedef struct trial_errors {
   double beyond; /* what rounding explains; the largest of it */
 } trial_errors;
 
+/* Everything anywhere, or what a full-screen picture of a sphere asks. */
+typedef enum trial_queries { TRIAL_RANDOM, TRIAL_PICTURE } trial_queries;
+
 /* A part of the shader's text that is replaced wherever it stands, which must be somewhere. */
 typedef struct trial_fault {
   codec_case row;
@@ -25,17 +28,19 @@ typedef struct trial_fault {
   const char *what, *text, *replacement;
 } trial_fault;
 
+/* Whether the build has the codec; fails the test if that has no layout. */
 bool trial_exports(btf_context *ctx, const codec_case *row);
 /* Exports a model to a folder and evaluates it; fault may be NULL. */
 trial_errors trial_run(gpu_host *host, const btf_model *model, const btf_gpu_target *target, int32_t zstd,
-                       const trial_fault *fault, btf_gpu_cost *cost);
+                       trial_queries kind, const trial_fault *fault, btf_gpu_cost *cost);
 /* All layouts of a row's model of a material. */
-void trial_row(gpu_host *host, btf_context *ctx, const codec_case *row, uint32_t material, uint32_t channels);
-/* The first row of each codec. */
-void trial_first_rows(gpu_host *host, btf_context *ctx);
+void trial_row(gpu_host *host, btf_context *ctx, const codec_case *row, uint32_t material, uint32_t channels,
+               trial_queries kind);
+/* The first row of each codec; none of the build's may be without one. */
+void trial_first_rows(gpu_host *host, btf_context *ctx, trial_queries kind);
 /* The comparison must notice the fault. Those of weight, level and slice come first. */
 void trial_plant(gpu_host *host, btf_context *ctx, const trial_fault *fault);
-enum { TRIAL_FAULTS = 11, TRIAL_FIRST_FAULTS = 4 };
+enum { TRIAL_FAULTS = 15, TRIAL_FIRST_FAULTS = 4 };
 extern const trial_fault trial_faults[TRIAL_FAULTS];
 
 /* Indices of two bytes, on MATERIAL_LARGE. */
