@@ -37,7 +37,7 @@ check_links() {
     while read -r target; do
       [ -e "$(dirname "$page")/$target" ] || { echo "$page: $target is not there"; broken=1; }
     done < <(grep -o '](\([^)#]*\)' "$page" | sed 's/^](//' | grep -v -e '^[a-z]*:' -e '^$')
-  done < <(find "$1" -path "$1/build" -prune -o -name '*.md' -print)
+  done < <(find "$1" \( -path "$1/build" -o -name node_modules \) -prune -o -name '*.md' -print)
   return $broken
 }
 check "links of the installed documentation" check_links "$work/prefix/share/doc/libbtf"
