@@ -83,29 +83,22 @@ for locale in $(locale -a 2>/dev/null | grep -E '^(de_DE|fr_FR|fi_FI)' | head -2
   [ "$(cat out.txt)" = 0.200000003 ] && pass || fail "numbers in $locale" "$(cat out.txt)"
 done
 
-# A page of a mapped file that went away ends a command with a line.
+# signalled NAME SIGNAL STATUS PATTERN: a command that waits for its input gets a signal.
 set -m
 mkfifo silence
-exec 4<>silence
-"$btf" eval tiny.btfd <silence 4>&- >out.txt 2>err.txt &
-waiting=$!
-sleep 0.3
-kill -BUS "$waiting"
-wait "$waiting"
-status=$?
-err=$(cat err.txt)
-expect "a file that became shorter" 2 "became shorter"
-exec 4>&-
-
-# A command that only reads ends at once.
-exec 4<>silence
-"$btf" eval tiny.btfd <silence 4>&- >out.txt 2>err.txt &
-waiting=$!
-sleep 0.3
-kill -INT "$waiting"
-wait "$waiting"
-status=$?
-err=$(cat err.txt)
-expect "eval interrupted while it waits" 130 "interrupted"
-exec 4>&-
+signalled() {
+  exec 4<>silence
+  "$btf" eval tiny.btfd <silence 4>&- >out.txt 2>err.txt &
+  local waiting=$!
+  sleep 0.3
+  kill -s "$2" "$waiting"
+  wait "$waiting"
+  status=$?
+  err=$(cat err.txt)
+  expect "$1" "$3" "$4"
+  exec 4>&-
+}
+# A page of a mapped file that went away ends a command with a line; one that only reads ends at once.
+signalled "a file that became shorter" BUS 2 "became shorter"
+signalled "eval interrupted while it waits" INT 130 "interrupted"
 set +m
