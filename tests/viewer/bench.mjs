@@ -3,16 +3,17 @@
 import { execFileSync } from 'node:child_process';
 import { readFileSync } from 'node:fs';
 import { join, resolve } from 'node:path';
-import { check, launch, meanDifference, openPage, pixels, serve } from './harness.mjs';
+import { check, drawnDifference, launch, openPage, pixels, serve } from './harness.mjs';
 
 const [btf, work, ...options] = process.argv.slice(2);
 export { btf, work };
 export const quick = options.includes('--quick'), onlyPictures = options.includes('--pictures');
 export const source = resolve(import.meta.dirname, '../..');
-export const SIDE = quick ? 96 : 128, SAMPLES = quick ? 4 : 16;
-// The contract's bound. Part of it is noise: samples of a pixel at other places than those of `btf render`. How much is
-// printed: the difference of two of its pictures with other seeds.
+export const SIDE = quick ? 96 : 128, SAMPLES = 16;
+// The contract's bound, on what is drawn. Part of it is noise: samples of a pixel at other places than those of `btf render`.
+// How much is printed: the difference of two of its pictures with other seeds.
 export const MOST_DIFFERENCE = 2;
+const GROUND = 118; // the byte of the linear 0.18 behind the surface, in both pictures
 export const small = { viewport: { width: SIDE, height: SIDE } };
 export const plain = { tone: 'clip', background: [0.18, 0.18, 0.18] };
 export const { server, root } = await serve({ viewer: join(source, 'viewer'), tests: join(source, 'tests/viewer'),
@@ -40,12 +41,18 @@ export async function close(page, title) {
 let rendered = 0;
 export async function reference(page, name, ...args) {
   const path = join(work, `reference${rendered++}.png`);
-  run('render', join(work, `${name}.btfz`), '-o', path, '--size', `${SIDE}x${SIDE}`, '--spp', '16', '--quiet', ...args);
+  run('render', join(work, `${name}.btfz`), '-o', path, '--size', `${SIDE}x${SIDE}`, '--spp', '64', '--quiet', ...args);
   return pixels(page, readFileSync(path));
 }
-export function alike(title, mine, theirs, most = MOST_DIFFERENCE) {
-  const difference = meanDifference(mine, theirs);
-  check(title, difference < most, `mean absolute difference ${difference.toFixed(2)} of 255`);
+const inWords = ({ mean, percentile, pixels: count }) => `mean absolute difference ${mean.toFixed(2)} of 255 over ${count} pixels, 99th percentile ${percentile}`;
+export function alike(title, mine, theirs, ground = GROUND) {
+  const difference = drawnDifference(mine, theirs, ground);
+  check(title, difference.mean < MOST_DIFFERENCE, inWords(difference));
+}
+// What is left of a difference where only the places of samples are others.
+export async function noise(page, title, name, ...args) {
+  const difference = drawnDifference(await reference(page, name, ...args), await reference(page, name, ...args, '--seed', '2'), GROUND);
+  console.log(`   ${title}, two pictures of btf render: ${inWords(difference)}`);
 }
 export async function compare(page, title, name, ...args) {
   const mine = await picture(page);

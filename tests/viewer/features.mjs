@@ -78,7 +78,7 @@ export async function lights(name) {
   await page.evaluate(() => globalThis.viewer.setEnvironment('studio'));
   await change(page, { lights: [], backdrop: false, tone: 'filmic', exposure: 0.5, rotation: 70, background: [0, 0, 0] });
   const turned = await picture(page, 48), options = ['--env', 'studio', '--background', '0,0,0', '--exposure', '0.5', '--spp', '64'];
-  alike('studio, turned, exposed and filmic as btf render has it', blocks(turned), blocks(await reference(page, name, ...options, '--rotate', '70')));
+  alike('studio, turned, exposed and filmic as btf render has it', blocks(turned), blocks(await reference(page, name, ...options, '--rotate', '70')), 0);
   await page.keyboard.press('[');
   check('[ rotates the environment', (await page.evaluate(() => globalThis.viewer.state.rotation)) === 65);
   await change(page, { rotation: -110 });
@@ -87,7 +87,7 @@ export async function lights(name) {
   await dropPaths(page, [join(work, 'grey.hdr')]);
   await page.waitForFunction(() => globalThis.viewer.state.environment === 'file');
   const grey = blocks(await picture(page, 8)), ofFile = ['--env', join(work, 'grey.hdr'), '--background', '0,0,0', '--exposure', '0.5'];
-  alike('a .hdr map that is dropped lights as in btf render', grey, blocks(await reference(page, name, ...ofFile)));
+  alike('a .hdr map that is dropped lights as in btf render', grey, blocks(await reference(page, name, ...ofFile)), 0);
   await close(page, 'lights');
 }
 

@@ -65,3 +65,15 @@ export function meanDifference(a, b) {
   for (let i = 0; i < a.length; i++) sum += Math.abs(a[i] - b[i]);
   return sum / a.length;
 }
+
+// Mean and 99th percentile of |a - b| over the components of pixels that are not background, `ground` give or take the 1 of
+// the viewer's dither, in both pictures.
+export function drawnDifference(a, b, ground) {
+  if (a.length !== b.length) return { mean: Infinity, percentile: Infinity };
+  const differences = [], isGround = (rgb, i) => [0, 1, 2].every((c) => Math.abs(rgb[i + c] - ground) <= 1);
+  for (let i = 0; i < a.length; i += 3)
+    if (!isGround(a, i) || !isGround(b, i)) for (let c = i; c < i + 3; c++) differences.push(Math.abs(a[c] - b[c]));
+  differences.sort((x, y) => x - y);
+  return { mean: differences.reduce((sum, x) => sum + x, 0) / differences.length, // NaN, which is within no bound, if nothing is drawn
+    percentile: differences[Math.floor(0.99 * differences.length)], pixels: differences.length / 3 };
+}

@@ -2,17 +2,17 @@
 // The viewer in headless Chromium: node tests/viewer/run.mjs BTF WORK [--quick | --pictures]
 // --quick: the default layout of each codec, small pictures of few samples, and messages of errors.
 // --pictures: nothing is tested but that docs/pictures/viewer.png can be made anew.
-// WORK holds NAME.btfz for every codec that exports and coarse.btfz, another model of the same material.
-import { copyFileSync, readdirSync } from 'node:fs';
+// WORK is an empty folder. In it come to be NAME.btfz for every codec that fits, and coarse.btfz, another model of the same material.
+import { copyFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { attempt, check, counts } from './harness.mjs';
 import { browser, close, exported, onlyPictures, openViewer, quick, root, run, server, source, work } from './bench.mjs';
-import { likeRender, selfContained } from './codecs.mjs';
+import { inBlocks, likeRender, selfContained } from './codecs.mjs';
 import * as features from './features.mjs';
-import { inThree, roundTrip } from './textures.mjs';
+import { inThree, roundTrip, wholeBlocks } from './textures.mjs';
 
-const names = readdirSync(work).filter((file) => file.endsWith('.btfz')).map((file) => file.slice(0, -5)).sort();
-const codecs = names.filter((name) => name !== 'coarse'), first = codecs.includes('fmf') ? 'fmf' : codecs[0];
+const material = join(work, 'material.btfd');
+const encode = (model, codec, ...options) => run('encode', material, '-o', join(work, `${model}.btfz`), '--codec', codec, '--quiet', ...options);
 const toExport = (model, folder, ...options) => run('export', join(work, `${model}.btfz`), '-o', join(work, folder), '--viewer', '--quiet', ...options);
 
 async function screenshot(name) {
@@ -30,33 +30,51 @@ async function screenshot(name) {
 
 // The textures of a layout, and with zstd; where it is not the codec's first its sphere, too.
 async function layout(codec, name, isFirst) {
-  const folder = isFirst ? codec : `${codec}-${name}`, compressed = `${folder}-zstd`;
+  const folder = isFirst ? codec : `${codec}-${name}`, compressed = `${folder}-zstd`, blocks = `${folder}-bc`;
   if (!isFirst) {
     copyFileSync(join(work, `${codec}.btfz`), join(work, `${folder}.btfz`));
     toExport(codec, folder, '--layout', name);
   }
   toExport(codec, compressed, '--layout', name, '--zstd', '3');
-  for (const each of [folder, compressed]) roundTrip(join(work, each), each);
+  toExport(codec, blocks, '--layout', name, '--compress', 'bc');
+  for (const each of [folder, compressed, blocks]) roundTrip(join(work, each), each);
+  wholeBlocks(join(work, blocks), blocks, codec !== 'lafortune');
   if (quick) return;
   await attempt(`${folder}: three.js`, () => inThree(browser, root, exported(folder), join(work, folder), folder));
   await attempt(`${folder}: the page`, () => selfContained(isFirst ? folder : compressed, codec));
 }
 
-check('some codec exports', codecs.length > 0, codecs.join(' '));
-for (const name of names) toExport(name, name);
-for (const codec of onlyPictures ? [] : codecs) {
-  const started = performance.now(), layouts = run('export', join(work, `${codec}.btfz`), '--list').split('\n').map((line) => line.split(/\s/)[0]).filter(Boolean);
-  for (const [i, name] of (quick ? layouts.slice(0, 1) : layouts).entries()) await layout(codec, name, i === 0);
-  await attempt(`${codec}: the viewer`, () => likeRender(codec));
-  console.log(`   ${codec}: ${((performance.now() - started) / 1000).toFixed(0)} s`);
-}
-if (onlyPictures) await attempt('screenshot', () => screenshot(first));
-else {
-  await attempt('zstd', () => selfContained(`${first}-zstd`, first));
+async function test() {
+  run('synth', 'bumps', '-o', material, '--size', '32x32', '--directions', 'grid:8x5', '--quiet');
+  const codecs = JSON.parse(run('codecs', '--json')).codecs.filter(({ capabilities }) => capabilities.includes('fit')).map(({ id }) => id);
+  check('some codec fits', codecs.length > 0, codecs.join(' '));
+  const models = [...codecs.map((codec) => [codec, codec]), ['coarse', 'fmf', '-p', 'components=3']];
+  for (const [name, ...how] of models) await attempt(`${name}: encode and export`, () => { encode(name, ...how); toExport(name, name); });
+  for (const codec of codecs) {
+    const started = performance.now();
+    await attempt(`${codec}: its layouts`, async () => {
+      const layouts = run('export', join(work, `${codec}.btfz`), '--list').split('\n').map((line) => line.split(/\s/)[0]).filter(Boolean);
+      check(`${codec}: has layouts`, layouts.length > 0, layouts.join(' '));
+      for (const [i, name] of (quick ? layouts.slice(0, 1) : layouts).entries()) await layout(codec, name, i === 0);
+    });
+    await attempt(`${codec}: the viewer`, () => likeRender(codec));
+    console.log(`   ${codec}: ${((performance.now() - started) / 1000).toFixed(0)} s`);
+  }
+  await attempt('zstd', () => selfContained('fmf-zstd', 'fmf'));
+  await attempt('blocks', () => inBlocks('fmf-bc', 'fmf'));
   const { errors, desktop, ...longer } = features;
-  for (const [title, feature] of Object.entries({ errors, desktop, ...(quick ? {} : longer) })) await attempt(title, () => feature(first));
-  if (!quick) await attempt('screenshot', () => screenshot(first));
+  for (const [title, feature] of Object.entries({ errors, desktop, ...(quick ? {} : longer) })) await attempt(title, () => feature('fmf'));
+  if (!quick) await attempt('screenshot', () => screenshot('fmf'));
 }
+
+async function renewPicture() {
+  run('synth', 'rings', '-o', material, '--spp', '4', '--bounces', '2', '--quiet');
+  encode('fmf', 'fmf', '-p', 'components=16');
+  toExport('fmf', 'fmf');
+  await screenshot('fmf');
+}
+
+await (onlyPictures ? attempt('screenshot', renewPicture) : attempt('tests', test));
 await browser.close();
 server.close();
 console.log(`${counts.passed} passed, ${counts.failed} failed`);

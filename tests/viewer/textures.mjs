@@ -14,6 +14,24 @@ export function roundTrip(folder, name) {
   }
 }
 
+// Textures in blocks, BC6H or BC7: the sides of level 0 are multiples of 4, and each level has 16 bytes for every 4 x 4 texels.
+export function wholeBlocks(folder, name, some) {
+  const { textures, cost } = JSON.parse(readFileSync(join(folder, 'manifest.json'), 'utf8'));
+  let count = 0;
+  for (const { file, vk_format: format, psnr_db: lost, width, height, depth, layers, levels: levelCount } of textures) {
+    const { vkFormat, pixelWidth, pixelHeight, levels } = read(readFileSync(join(folder, file))), blocks = vkFormat >= 143 && vkFormat <= 145;
+    check(`${name}: ${file} is in blocks where it says what is lost`, vkFormat === format && blocks === (lost !== undefined), `format ${vkFormat}`);
+    if (!blocks) continue;
+    count++;
+    const expected = Array.from({ length: levelCount }, (_, l) =>
+      16 * Math.ceil(Math.max(1, width >> l) / 4) * Math.ceil(Math.max(1, height >> l) / 4) * Math.max(1, depth >> l) * Math.max(1, layers));
+    const sizes = levels.map(({ levelData }) => levelData.length);
+    check(`${name}: ${file} has whole blocks`, width % 4 === 0 && height % 4 === 0 && pixelWidth === width && pixelHeight === height && sizes.join() === expected.join(),
+      `${width} x ${height} x ${Math.max(depth, layers)}, levels of ${sizes.join(', ')} bytes`);
+  }
+  check(`${name}: ${some ? 'some' : 'no'} texture is in blocks`, some === count > 0 && some === cost.saved_bytes > 0, `${count}, ${cost.saved_bytes} bytes less`);
+}
+
 function halfToFloat(h) {
   const sign = h & 0x8000 ? -1 : 1, exponent = (h >> 10) & 31, fraction = h & 1023;
   return exponent === 0 ? sign * fraction * 2 ** -24 : sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
