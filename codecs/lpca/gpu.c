@@ -9,7 +9,7 @@
 enum { FULL = 0, BYTES = 1 };
 static const btf_gpu_layout_desc full = {"full", "values as the model stores them"};
 static const btf_gpu_layout_desc bytes = {
-    "bytes", "3D textures of factors in signed bytes with a scale each, as in the papers"};
+    "bytes", "3D textures of components in signed bytes with a scale each, as in the papers"};
 const btf_gpu_layout_desc *const btfi_lpca_gpu_layouts[] = {&full, &bytes, NULL};
 
 typedef struct exporting {
@@ -19,8 +19,8 @@ typedef struct exporting {
   btf_gpu_builder *out;
   const btf_gpu_target *target;
   uint32_t layout, shown, groups; /* shown: channels */
-  uint32_t value_texel, factor_texel, mean_texel;
-  /* Largest rounding of each cluster: the mean, then the components, before they are scaled. */
+  uint32_t value_texel, factor_texel;
+  /* Largest rounding of each cluster's components, before they are scaled. */
   float *rounding;
 } exporting;
 
@@ -102,47 +102,48 @@ static btf_status put_scales(exporting *e) {
 
 /* ---- factors ---- */
 
-/* Value j (0 = the mean) of a channel in a row, as the model has it or as a byte. */
-static void put_value(exporting *e, uint32_t cluster, const unsigned char *row, uint32_t channel, uint32_t j,
-                      unsigned char *dst) {
+/* Component j of a channel in a row, as the model has it or as a byte. */
+static void put_component(exporting *e, uint32_t cluster, const unsigned char *row, uint32_t channel,
+                          uint32_t j, unsigned char *dst) {
   const btfi_lpca_state *s = e->s;
   const btfi_lpca_layout *l = &s->layout;
-  const uint32_t size = j == 0 ? l->mean_bytes : l->factor_bytes;
-  const unsigned char *src = j == 0 ? row + l->mean_at + (size_t)channel * size
-                                    : row + channel * s->channel_bytes + (size_t)(j - 1) * size;
-  if (e->layout == FULL || size == 1) {
-    memcpy(dst, src, size);
+  const unsigned char *src = row + channel * s->channel_bytes + (size_t)j * l->factor_bytes;
+  if (e->layout == FULL || l->storage == LPCA_Q8) {
+    memcpy(dst, src, l->factor_bytes);
     return;
   }
   const float value = value_at(l->storage, src, 0);
   const float bounded = value > -1.0f ? (value < 1.0f ? value : 1.0f) : -1.0f;
-  float *rounding = &e->rounding[(size_t)cluster * (l->components + 1) + j];
+  float *rounding = &e->rounding[(size_t)cluster * l->components + j];
   const float difference = fabsf(btfi_lpca_store_factor(LPCA_Q8, bounded, dst) - value);
   if (difference > *rounding) *rounding = difference;
 }
 
-/* One image by light and view: of components 4 * group - 3 and after of a channel, or with group 0 of the
- * means of all channels. */
-static void put_image(exporting *e, uint32_t cluster, uint32_t channel, uint32_t group, unsigned char *dst) {
+/* Images by light and view: the means of all channels, or components 4 * group and after of a channel. The
+ * mean stays as it is: it is the largest summand, and no weight makes its rounding less. */
+static void put_mean(exporting *e, uint32_t cluster, unsigned char *dst) {
   const btfi_lpca_layout *l = &e->s->layout;
-  const uint32_t size = e->layout == BYTES ? 1 : group == 0 ? l->mean_bytes : l->factor_bytes;
-  const uint32_t first = 4 * group - 3, left = l->components + 1 - first;
-  const uint32_t values = group == 0 ? e->shown : left < 4 ? left : 4;
+  const unsigned char *src = e->s->factors + cluster * l->cluster_bytes + l->mean_at;
+  for (uint64_t pair = 0; pair < (uint64_t)l->lights * l->views; pair++)
+    memcpy(dst + pair * 4 * l->mean_bytes, src + pair * l->row_bytes, (size_t)e->shown * l->mean_bytes);
+}
+
+static void put_components(exporting *e, uint32_t cluster, uint32_t channel, uint32_t group,
+                           unsigned char *dst) {
+  const btfi_lpca_layout *l = &e->s->layout;
+  const uint32_t size = e->layout == BYTES ? 1 : l->factor_bytes;
+  const uint32_t first = 4 * group, left = l->components - first, values = left < 4 ? left : 4;
   const unsigned char *row = e->s->factors + cluster * l->cluster_bytes;
   for (uint64_t pair = 0; pair < (uint64_t)l->lights * l->views; pair++, row += l->row_bytes, dst += 4 * size)
-    for (uint32_t i = 0; i < values; i++)
-      if (group == 0)
-        put_value(e, cluster, row, i, 0, dst + i * size);
-      else
-        put_value(e, cluster, row, channel, first + i, dst + i * size);
+    for (uint32_t i = 0; i < values; i++) put_component(e, cluster, row, channel, first + i, dst + i * size);
 }
 
 static btf_status put_means(exporting *e) {
   const btfi_lpca_layout *l = &e->s->layout;
   uint32_t number;
-  BTF_TRY(table(e, "btf_mean", e->mean_texel, l->lights, l->views, l->clusters,
+  BTF_TRY(table(e, "btf_mean", e->value_texel, l->lights, l->views, l->clusters,
                 BTF_GPU_SMOOTH | (e->layout == BYTES ? BTF_GPU_STACK : 0u), &number));
-  for (uint32_t k = 0; k < l->clusters; k++) put_image(e, k, 0, 0, e->host->gpu_slice(e->out, number, 0, k));
+  for (uint32_t k = 0; k < l->clusters; k++) put_mean(e, k, e->host->gpu_slice(e->out, number, 0, k));
   return BTF_OK;
 }
 
@@ -159,8 +160,8 @@ static btf_status put_factors(exporting *e) {
     for (uint32_t k = 0; k < l->clusters; k++)
       for (uint32_t i = 0; i < together; i++)
         for (uint32_t g = 0; g < e->groups; g++)
-          put_image(e, k, c + i, g + 1,
-                    e->host->gpu_slice(e->out, number, 0, (k * together + i) * e->groups + g));
+          put_components(e, k, c + i, g,
+                         e->host->gpu_slice(e->out, number, 0, (k * together + i) * e->groups + g));
   }
   return BTF_OK;
 }
@@ -240,18 +241,19 @@ static btf_status put_shader(exporting *e) {
 
 /* ---- the export ---- */
 
-/* The most that rounded factors make of any texel: a blend of texels, lights and views is no farther off. */
+/* The most that rounded components make of any texel: a blend of texels, lights and views is no farther off.
+ */
 static double largest_rounding(const exporting *e) {
   const btfi_lpca_layout *l = &e->s->layout;
   double largest = 0.0;
   for (uint32_t level = 0; level < l->levels; level++)
     for (uint64_t i = 0; i < level_texels(e, level); i++) {
       const uint32_t cluster = cluster_of(e->s, level, i);
-      const float *rounding = e->rounding + (size_t)cluster * (l->components + 1);
+      const float *rounding = e->rounding + (size_t)cluster * l->components;
       const unsigned char *weights = e->s->weights[level] + i * l->texel_bytes;
-      double sum = fabs((double)scale_of(e->s, cluster, 0) * (double)rounding[0]);
-      for (uint32_t j = 1; j <= l->components; j++)
-        sum += fabs((double)value_at(l->storage, weights, j - 1) * (double)scale_of(e->s, cluster, j) *
+      double sum = 0.0;
+      for (uint32_t j = 0; j < l->components; j++)
+        sum += fabs((double)value_at(l->storage, weights, j) * (double)scale_of(e->s, cluster, j + 1) *
                     (double)rounding[j]);
       largest = fmax(largest, sum);
     }
@@ -262,12 +264,11 @@ static double largest_rounding(const exporting *e) {
 static void put_cost(exporting *e) {
   const btfi_lpca_layout *l = &e->s->layout;
   const double factors = 9.0 * e->shown * e->groups;
-  const uint32_t mean_bytes = e->layout == BYTES ? 1 : l->mean_bytes;
   const uint32_t factor_bytes = e->layout == BYTES ? 1 : l->factor_bytes;
   btf_gpu_cost cost = BTF_GPU_COST_INIT;
   cost.fetches = 4.0 * (1.0 + e->groups) + e->groups + 1.0 + 9.0 + factors;
   cost.bytes = 4.0 * (l->index_bytes + 4.0 * e->groups * l->weight_bytes) + 16.0 * (e->groups + 1.0) +
-               4.0 * (9.0 * mean_bytes + factors * factor_bytes);
+               4.0 * (9.0 * l->mean_bytes + factors * factor_bytes);
   cost.flops = 9.0 * factors + 54.0 + e->groups * 36.0;
   cost.rounding = largest_rounding(e);
   e->host->gpu_cost(e->out, &cost);
@@ -292,16 +293,15 @@ btf_status btfi_lpca_gpu(const btf_host *host, btf_context *ctx, const void *sta
                          btf_gpu_builder *out) {
   const btfi_lpca_state *s = state;
   const btfi_lpca_layout *l = &s->layout;
-  const uint64_t scales = (uint64_t)l->clusters * (l->components + 1);
+  const uint64_t components = (uint64_t)l->clusters * l->components;
   exporting e = {.host = host, .ctx = ctx, .s = s, .out = out, .target = target, .layout = layout};
   e.shown = l->channels < 3 ? l->channels : 3;
   e.groups = (l->components + 3) / 4;
   e.value_texel = l->storage == LPCA_F32 ? BTF_TEXEL_RGBA32_FLOAT : BTF_TEXEL_RGBA16_FLOAT;
-  e.mean_texel = layout == BYTES ? (uint32_t)BTF_TEXEL_RGBA8_SNORM : e.value_texel;
   e.factor_texel = layout == BYTES || l->storage == LPCA_Q8 ? (uint32_t)BTF_TEXEL_RGBA8_SNORM : e.value_texel;
-  e.rounding = host->alloc(ctx, scales, sizeof *e.rounding);
+  e.rounding = host->alloc(ctx, components, sizeof *e.rounding);
   if (e.rounding == NULL) return BTF_E_NOMEM;
-  memset(e.rounding, 0, scales * sizeof *e.rounding);
+  memset(e.rounding, 0, components * sizeof *e.rounding);
   const btf_status status = put_all(&e, shape);
   host->free(ctx, e.rounding);
   return status;
