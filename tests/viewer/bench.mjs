@@ -9,7 +9,8 @@ const [btf, work, ...options] = process.argv.slice(2);
 export { btf, work };
 export const quick = options.includes('--quick'), onlyPictures = options.includes('--pictures');
 export const source = resolve(import.meta.dirname, '../..');
-export const SIDE = quick ? 96 : 128, SAMPLES = 16;
+// As many samples of a pixel in both pictures: a sample's footprint, and with it the level of detail, is its share of the pixel.
+export const SIDE = quick ? 96 : 128, SAMPLES = 64;
 // The contract's bound, on what is drawn. Part of it is noise: samples of a pixel at other places than those of `btf render`.
 // How much is printed: the difference of two of its pictures with other seeds.
 export const MOST_DIFFERENCE = 2;
@@ -41,7 +42,7 @@ export async function close(page, title) {
 let rendered = 0;
 export async function reference(page, name, ...args) {
   const path = join(work, `reference${rendered++}.png`);
-  run('render', join(work, `${name}.btfz`), '-o', path, '--size', `${SIDE}x${SIDE}`, '--spp', '64', '--quiet', ...args);
+  run('render', join(work, `${name}.btfz`), '-o', path, '--size', `${SIDE}x${SIDE}`, '--spp', `${SAMPLES}`, '--quiet', ...args);
   return pixels(page, readFileSync(path));
 }
 const inWords = ({ mean, percentile, pixels: count }) => `mean absolute difference ${mean.toFixed(2)} of 255 over ${count} pixels, 99th percentile ${percentile}`;
