@@ -28,9 +28,9 @@ void btfi_dirset_rasterise(const btf_dirset *set, uint32_t size, btf_interp *out
 uint32_t btfi_dirset_facet_count(const btf_dirset *set);
 enum { BTFI_FACET_FLOATS = 16 };
 /* Sixteen floats for each, in four groups: the corner x, y and (cx, cy); (bx, by), s, t; three samples, 0;
- * where to go on when the weight of the first, second, third is negative, 0. With p = point - corner, B = p x
- * (cx, cy) and C = (bx, by) x p, the point lies within if B >= 0, C >= 0 and s B + t C <= 1; then the weights
- * of the second and third sample are s B and t C. */
+ * where to go on when the weight of the first, second, third is negative, 0. With p = point - corner, the
+ * distances B = p x (cx, cy) and C = (bx, by) x p, the point lies within if B >= 0, C >= 0 and s B + t C <= 1;
+ * then the weights of the second and third sample are s B and t C. */
 void btfi_dirset_facet_table(const btf_dirset *set, float *out);
 /* Facets at the centres of the texels of a size x size map over [-1, 1]^2, row 0 at y near -1. */
 void btfi_dirset_facet_map(const btf_dirset *set, uint32_t size, float *out);

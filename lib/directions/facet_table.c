@@ -6,13 +6,12 @@ uint32_t btfi_dirset_facet_count(const btf_dirset *set) {
   return set->facet_count;
 }
 
-/* A form of a facet in coordinates instead of units: a weight, or of length 1 where only its sign counts. */
+/* A form of a facet as a distance, and what makes it a weight, 0 where only its sign counts. */
 static float normalise(double x, double y, double scale, float out[2]) {
-  const double length = hypot(x, y);
-  const double by = scale != 0.0 ? scale * BTFI_UNITS : length > 0.0 ? 1.0 / length : 0.0;
+  const double length = hypot(x, y), by = length > 0.0 ? 1.0 / length : 0.0;
   out[0] = (float)(x * by);
   out[1] = (float)(y * by);
-  return scale != 0.0 ? 1.0f : 0.0f;
+  return (float)(scale * length * BTFI_UNITS);
 }
 
 void btfi_dirset_facet_table(const btf_dirset *set, float *out) {

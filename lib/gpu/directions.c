@@ -23,9 +23,14 @@ enum {
 
 /* Of a search that ends where it begins: the map, and three texels of the facet. */
 static const btf_gpu_cost search = {
-    .struct_size = sizeof search, .fetches = 4.0, .bytes = 4.0 + 3.0 * 16.0, .flops = 30.0};
+    .struct_size = sizeof search, .fetches = 4.0, .bytes = 4.0 + 3.0 * 16.0, .flops = 36.0};
 
-static void put_walk(btfi_buffer *out, const char *n) {
+/* The slack keeps a point that rounding puts outside of both facets of an edge from going to and fro. The
+ * corner is exact, so that what q is rounded by is a share of it: 2^-25. With the rounded forms, products and
+ * sums, distances are off by 6 * 2^-25 of |q.x| + |q.y|, the third weight, in distances, by as much again;
+ * nothing is lost where the facets around the point are small. A walk that does not end all the same is
+ * followed by a search everywhere, as in locate.c. */
+static void put_walk(btfi_buffer *out, const char *n, uint32_t facets) {
   btfi_put_text(out, "void btf_locate_%s(vec3 direction, out ivec3 index, out vec3 weight) {\n", n);
   btfi_put_text(out,
                 "  vec2 p = btf_parabolic(direction);\n"
@@ -33,21 +38,23 @@ static void put_walk(btfi_buffer *out, const char *n) {
                 MAP, MAP - 1);
   btfi_put_text(out, "  int facet = int(btf_%s_near(cell.x, cell.y, 0, 0).r + 0.5), x = 0, y = 0;\n", n);
   btfi_put_text(out,
-                "  for (int walked = 0; walked < 64; ++walked) {\n"
+                "  for (int walked = 0; walked < %u; ++walked) {\n"
+                "    if (walked >= %u) facet = walked - %u;\n"
                 "    x = (facet & %d) * 4;\n"
                 "    y = facet >> 8;\n",
-                ROW - 1);
+                2 * facets, facets, facets, ROW - 1);
   btfi_put_text(out,
                 "    vec4 first = btf_%s_facet(x, y, 0, 0), second = btf_%s_facet(x + 1, y, 0, 0);\n"
                 "    vec2 q = p - first.xy;\n"
                 "    float b = q.x * first.w - q.y * first.z, c = second.x * q.y - second.y * q.x;\n"
+                "    float slack = -4e-7 * (abs(q.x) + abs(q.y));\n"
                 "    weight.yz = vec2(b, c) * second.zw;\n"
                 "    weight.x = 1.0 - weight.y - weight.z;\n"
-                "    if (min(min(b, c), weight.x) >= -1e-5) break;\n",
+                "    if (min(b, c) >= slack && weight.x >= slack * (second.z + second.w)) break;\n",
                 n, n);
   btfi_put_text(out,
                 "    vec4 next = btf_%s_facet(x + 3, y, 0, 0);\n"
-                "    facet = int((b < -1e-5 ? next.y : c < -1e-5 ? next.z : next.x) + 0.5);\n"
+                "    facet = int((b < slack ? next.y : c < slack ? next.z : next.x) + 0.5);\n"
                 "  }\n"
                 "  weight = max(weight, vec3(0.0));\n"
                 "  weight /= weight.x + weight.y + weight.z;\n"
@@ -76,7 +83,7 @@ static btf_status put_facets(btf_gpu_builder *b, const char *name, const btf_dir
   table.width = table.height = MAP;
   BTFI_TRY(btfi_gpu_table(b, &table, &number));
   btfi_dirset_facet_map(set, MAP, btfi_gpu_slice(b, number, 0, 0));
-  put_walk(&b->search, name);
+  put_walk(&b->search, name, facets);
   return BTF_OK;
 }
 
@@ -149,8 +156,8 @@ static btf_status put_raster_tables(btf_gpu_builder *b, const char *name, const 
   return status;
 }
 
-/* How fast a weight of a facet changes at most, per unit of parabolic coordinates. Facets whose forms tell
- * only a side have constant weights there (facet_table.c). */
+/* How fast a weight of a facet changes at most, per unit of parabolic coordinates. Forms that tell only a
+ * side have no weight (facet_table.c). */
 static double steepest(const float *facet) {
   const double second[2] = {(double)facet[6] * (double)facet[3], -(double)facet[6] * (double)facet[2]};
   const double third[2] = {-(double)facet[7] * (double)facet[5], (double)facet[7] * (double)facet[4]};
