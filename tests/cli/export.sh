@@ -94,6 +94,9 @@ else
     grep -q "a browser that takes 18 textures" err.txt && pass || fail "a note says how many textures the page needs" "$err"
     run export bumps.btfz -o paged --viewer
     [ "$status" = 0 ] && [ -z "$err" ] && pass || fail "no note where every browser will do" "$err"
+    run export bumps.btfz -o paged --compress bc
+    expect "blocks that lose something" 0 "BC7 at "
+    grep -q "^blocks save .*kept at [0-9.]* dB" out.txt && pass || fail "what all blocks cost" "$out"
     [ ! -e x ] && pass || fail "a failed export left something behind"
   fi
   run export export.btfd -o x
