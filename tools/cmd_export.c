@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 /* cmd_export.c: textures, numbers and a shader for renderers on a GPU. */
 #include <inttypes.h>
+#include <limits.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -10,7 +11,11 @@
 #include "safe_text.h"
 #include "viewer_page.h"
 
-enum { NOTHING_LOST = 999 /* dB, by btf_gpu_cost */ };
+#define PAGE_FILE "index.html" /* of btf_gpu_export_write_page */
+enum {
+  NOTHING_LOST = 999,    /* dB, by btf_gpu_cost */
+  BROWSER_TEXTURES = 16, /* in a shader, promised by WebGL 2 */
+};
 
 static const char *dimension_word(uint32_t dimension) {
   return dimension == BTF_TEXTURE_3D         ? "3D"
@@ -30,15 +35,47 @@ static int fail_dataset(const input *in) {
                   in->path);
 }
 
+/* Options for what would be written are mistakes. */
+static int check_list(const cli *c) {
+  for (const cli_option *o = c->command->options; o->name != NULL; o++)
+    if (cli_has(c, o->name) && strcmp(o->name, "list") != 0 && strcmp(o->name, "json") != 0)
+      return cli_usage(c, "--list writes nothing and takes no --%s", o->name);
+  return EXIT_DONE;
+}
+
+static void print_layouts(const btf_codec *codec) {
+  const char *name, *summary;
+  for (uint32_t i = 0; (name = btf_codec_gpu_layout(codec, i, &summary)) != NULL; i++)
+    printf("%-14s %s%s\n", name, summary, i == 0 ? " (default)" : "");
+}
+
+static void print_layouts_json(const btf_codec *codec) {
+  const char *name, *summary;
+  json_writer j;
+  json_begin(&j, stdout);
+  json_array(&j, NULL);
+  for (uint32_t i = 0; (name = btf_codec_gpu_layout(codec, i, &summary)) != NULL; i++) {
+    json_object(&j, NULL);
+    json_string(&j, "name", name);
+    json_string(&j, "summary", summary);
+    json_close(&j, '}');
+  }
+  json_close(&j, ']');
+  json_end(&j);
+}
+
 static int list_layouts(cli *c, const input *in) {
   btf_model_info info = BTF_MODEL_INFO_INIT;
+  if (in->dataset != NULL) return fail_dataset(in);
   const btf_status status = btf_model_describe(in->model, &info);
   if (status != BTF_OK) return cli_fail_library(status);
   const btf_codec *codec = btf_codec_find(c->context, info.codec_id);
-  const char *name, *summary;
-  if (in->dataset != NULL) return fail_dataset(in);
-  for (uint32_t i = 0; codec != NULL && (name = btf_codec_gpu_layout(codec, i, &summary)) != NULL; i++)
-    printf("%-14s %s%s\n", name, summary, i == 0 ? " (default)" : "");
+  if (btf_codec_gpu_layout(codec, 0, NULL) == NULL)
+    return cli_fail(EXIT_UNSUPPORTED, "%s: codec %s exports nothing for a GPU", in->path, info.codec_id);
+  if (cli_has(c, "json"))
+    print_layouts_json(codec);
+  else
+    print_layouts(codec);
   return cli_flush();
 }
 
@@ -63,29 +100,51 @@ static int print_text(const btf_gpu_export *e, const btf_gpu_cost *cost) {
   printf("%" PRIu64
          " bytes of texels; an evaluation reads %.0f texels (%.0f bytes) and takes %.0f operations\n",
          total, cost->fetches, cost->bytes, cost->flops);
-  if (cost->psnr_db != 0.0)
-    printf("blocks save %.0f bytes (%.0f %%); what they hold, components of sums, is kept at %.1f dB, "
-           "results are better\n",
-           cost->saved_bytes, 100.0 * cost->saved_bytes / (cost->saved_bytes + cost->texture_bytes),
-           cost->psnr_db);
+  if (cost->psnr_db != 0.0) {
+    printf("blocks save %.0f bytes (%.0f %%)", cost->saved_bytes,
+           100.0 * cost->saved_bytes / (cost->saved_bytes + cost->texture_bytes));
+    if (cost->psnr_db >= NOTHING_LOST)
+      printf(" without loss\n");
+    else
+      printf("; their texels are kept at %.1f dB, results are better\n", cost->psnr_db);
+  }
   return cli_flush();
+}
+
+static void print_page(const char *folder) {
+  char page[PATH_MAX];
+  int length = (int)strlen(folder);
+  while (length > 1 && folder[length - 1] == '/') length--;
+  snprintf(page, sizeof page, "%.*s/" PAGE_FILE, length, folder);
+  printf("open ");
+  safe_text_put(stdout, page);
+  printf(" in a browser\n");
+}
+
+/* As it is in the folder. */
+static void print_manifest(const btf_gpu_export *e, bool has_page) {
+  const char *after_bracket = btf_gpu_manifest(e) + 1;
+  printf("{%s%s", has_page ? "\n  \"page\": \"" PAGE_FILE "\"," : "", after_bracket);
 }
 
 static int print_result(cli *c, const btf_gpu_export *e, const char *path) {
   btf_gpu_cost cost = BTF_GPU_COST_INIT;
+  const uint32_t textures = btf_gpu_texture_count(e);
   const btf_status status = btf_gpu_export_cost(e, &cost);
   if (status != BTF_OK) return cli_fail_library(status);
-  if (!cli_has(c, "json")) {
-    const int failed = c->quiet ? EXIT_DONE : print_text(e, &cost);
-    if (!failed && !c->quiet && cli_has(c, "viewer")) {
-      printf("open ");
-      safe_text_put(stdout, path);
-      printf("/index.html in a browser\n");
-      return cli_flush();
-    }
-    return failed;
+  if (cli_has(c, "compress") && cost.psnr_db == 0.0)
+    cli_note(c, "no texture is smaller in blocks, or none may lose what they lose; all stay as they are");
+  if (cli_has(c, "viewer") && textures > BROWSER_TEXTURES)
+    cli_note(c, "the page needs a browser that takes %u textures; %d are sure", (unsigned)textures,
+             BROWSER_TEXTURES);
+  if (cli_has(c, "json")) {
+    print_manifest(e, cli_has(c, "viewer"));
+    return cli_flush();
   }
-  printf("%s", btf_gpu_manifest(e));
+  if (c->quiet) return EXIT_DONE;
+  const int failed = print_text(e, &cost);
+  if (failed || !cli_has(c, "viewer")) return failed;
+  print_page(path);
   return cli_flush();
 }
 
@@ -123,9 +182,7 @@ static int run(cli *c) {
   const char *path = NULL;
   uint32_t zstd = 0;
   input in;
-  if (cli_has(c, "list") && cli_has(c, "output"))
-    return cli_usage(c, "--list writes nothing and takes no -o");
-  int failed = cli_has(c, "list") ? EXIT_DONE : cli_required(c, "output", &path);
+  int failed = cli_has(c, "list") ? check_list(c) : cli_required(c, "output", &path);
   if (!failed) failed = cli_uint32(c, "max-size", 16, 1u << 20, &target.max_2d);
   if (!failed) failed = cli_uint32(c, "max-3d", 16, 1u << 16, &target.max_3d);
   if (!failed) failed = cli_uint32(c, "max-layers", 1, 1u << 16, &target.max_layers);
@@ -157,7 +214,7 @@ static const cli_option options[] = {
 const cli_command cmd_export = {
     "export",
     "writes GPU textures and the shader that reads them",
-    "FILE -o DIR [options]\nFILE --list",
+    "FILE -o DIR [options]\nFILE --list [--json]",
     "The folder gets manifest.json, btf.glsl with a function btf_eval(light, view, uv, "
     "lod), and a KTX 2.0 file for each\n"
     "texture. The shader is GLSL ES 3.00, GLSL 3.30 and GLSL 4.50 for Vulkan alike.",

@@ -21,6 +21,10 @@ if [ -n "$plugin" ]; then
   expect "encode with a plug-in" 0 "plugged.btfz"
   run verify plugged.btfz --plugin "$plugin"
   expect "verify with the plug-in" 0 "good"
+  for options in --list "-o x"; do
+    run export plugged.btfz $options --plugin "$plugin"
+    expect "export $options of a codec without layouts" 5 "exports nothing for a GPU"
+  done
   run info plugged.btfz
   expect "info without the codec" 0 "$name"
   grep -q "no such codec" out.txt && pass || fail "info says that the codec is missing" "$out"
