@@ -10,7 +10,7 @@ export { btf, work };
 export const quick = options.includes('--quick'), onlyPictures = options.includes('--pictures');
 export const source = resolve(import.meta.dirname, '../..');
 // As many samples of a pixel in both pictures: a sample's footprint, and with it the level of detail, is its share of the pixel.
-export const SIDE = quick ? 96 : 128, SAMPLES = 64;
+export const SIDE = quick ? 96 : 128, SAMPLES = 16;
 // The contract's bound, on what is drawn. Part of it is noise: samples of a pixel at other places than those of `btf render`.
 // How much is printed: the difference of two of its pictures with other seeds.
 export const MOST_DIFFERENCE = 2;
@@ -56,7 +56,7 @@ export async function noise(page, title, name, ...args) {
   console.log(`   ${title}, two pictures of btf render: ${inWords(difference)}`);
 }
 export async function compare(page, title, name, ...args) {
-  const mine = await picture(page);
+  const samples = args.includes('--spp') ? Number(args[args.indexOf('--spp') + 1]) : SAMPLES, mine = await picture(page, samples);
   alike(title, mine, await reference(page, name, ...args));
   return mine;
 }
