@@ -56,6 +56,8 @@ else
     grep -qE '^import |<link rel="stylesheet"|src="src/' exported/index.html && fail "the page needs other files" || pass
     run export export.btfz -o exported --quiet
     [ ! -e exported/index.html ] && pass || fail "the page of an earlier export goes with it"
+    run export export.btfz --compress -o packed
+    expect "--compress without its value" 1 '--compress needs a value (bc), not "-o"'
     run export export.btfz -o packed --compress zip
     expect "an unknown compression" 1 "--compress takes bc"
     run export export.btfz -o packed --layout rgba --compress bc
@@ -75,19 +77,26 @@ else
       grep -q '"vk_format": 145' packed/manifest.json && grep -q '"psnr_db"' packed/manifest.json && pass ||
         fail "the manifest says what is compressed" "$(cat packed/manifest.json)"
     fi
+    run info exported
+    expect "an export where data are wanted" 3 "exported/manifest.json: is that of a GPU export; give the .btfz"
     mkdir other && touch other/manifest.json
     run export export.btfz -o other
     expect "a folder of somebody else" 2 "not a GPU export"
     run export export.btfz -o x --layout nonesuch
     expect "an unknown layout" 1 "nonesuch"
     run export export.btfz -o x --max-textures 1
-    expect "too few textures" 6 "textures"
+    expect "too few textures" 6 "4 textures, more than the target's 1; a target of at least 4 would do"
+    run export export.btfz -o x --max-size 100
+    expect "a map of one size" 6 "2D textures; a target of at least 256 would do"
     run export export.btfz -o x --max-size 16 --max-layers 1 --max-textures 64
     expect "pages for layers" 6 "along a side"
     run export export.btfz -o paged --max-layers 1
     expect "pages" 0 "btf_u_map2"
     run synth bumps -o bumps.btfd --size 8x8 --directions grid:4x2 --spp 1 --quiet
     run encode bumps.btfd -o bumps.btfz --codec fmf -p components=16 --quiet
+    run export bumps.btfz -o packed --compress bc
+    grep -qE '^blocks save [0-9]+ bytes \([0-9]+ %\) and keep texels at [0-9.]+ dB$' out.txt && pass ||
+      fail "what is said of blocks" "$out"
     # 3 channels of 4 textures by directions, 4 of the material, 2 of the triangulation.
     run export bumps.btfz -o paged --max-layers 1 --max-textures 18 --viewer
     expect "more textures than every browser takes" 0 "open paged/index.html"
