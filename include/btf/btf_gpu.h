@@ -118,14 +118,16 @@ LIBBTF_API const char *btf_codec_gpu_layout(const btf_codec *codec, uint32_t i, 
 /** A model made ready for a GPU. Immutable; needs the model no longer. */
 typedef struct btf_gpu_export btf_gpu_export;
 
-/** target NULL = the defaults. Errors: BTF_E_UNSUPPORTED (the codec exports nothing), BTF_E_INVALID_ARG (no such
- *  layout), BTF_E_LIMIT (beyond the target; the message says which limit and what would do), BTF_E_NOMEM. Threads:
- *  free. */
+/** target NULL = the defaults. Errors: BTF_E_UNSUPPORTED (the codec exports nothing), BTF_E_INVALID_ARG (model or out
+ *  is NULL, no such layout or compression), BTF_E_ABI, BTF_E_LIMIT (beyond the target, the 64 textures or the numbers
+ *  of an export, or the context's memory; the message says which limit, and what would do), BTF_E_PLUGIN (a codec's
+ *  tables or numbers make no sense), BTF_E_NOMEM; whatever else a plug-in's codec returns. Threads: free. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_gpu_export_create(const btf_model *model, const btf_gpu_target *target,
                                                              btf_gpu_export **out);
 LIBBTF_API void btf_gpu_export_release(btf_gpu_export *e);
 LIBBTF_API uint32_t btf_gpu_texture_count(const btf_gpu_export *e);
-/** Fills io; the caller sets struct_size. Threads: const. */
+/** Fills io; the caller sets struct_size. Errors: BTF_E_INVALID_ARG (no such texture, io is NULL), BTF_E_ABI. Threads:
+ *  const. */
 LIBBTF_API btf_status btf_gpu_texture_at(const btf_gpu_export *e, uint32_t i, btf_gpu_texture *io);
 /** The shader: GLSL ES 3.00, GLSL 3.30 and GLSL 4.50 for Vulkan alike, for after the host's #version and precision
  *  lines. Every name in it begins with btf_ (macros: BTF_). It declares the samplers and the uniform block btf_uniforms
@@ -137,19 +139,22 @@ LIBBTF_API const char *btf_gpu_glsl(const btf_gpu_export *e);
 /** The uniform block's bytes, ready to upload. Threads: const. */
 LIBBTF_API const void *btf_gpu_uniforms(const btf_gpu_export *e, size_t *size);
 LIBBTF_API const btf_gpu_uniform *btf_gpu_uniform_fields(const btf_gpu_export *e, uint32_t *count);
-/** Fills io; the caller sets struct_size. Threads: const. */
+/** Fills io; the caller sets struct_size. Errors: BTF_E_INVALID_ARG (io is NULL), BTF_E_ABI. Threads: const. */
 LIBBTF_API btf_status btf_gpu_export_cost(const btf_gpu_export *e, btf_gpu_cost *io);
 /** The manifest of the export as JSON (docs/gpu-export.md). Threads: const. */
 LIBBTF_API const char *btf_gpu_manifest(const btf_gpu_export *e);
 
-/** A texture as a KTX 2.0 file. zstd_level 0 = not compressed, otherwise each level is a zstd frame of its own.
- *  The bytes belong to the caller, who frees them with btf_gpu_free. Errors: BTF_E_NOMEM, BTF_E_LIMIT. Threads: free. */
+/** A texture as a KTX 2.0 file. zstd_level 0 = not compressed, 1 to 22 = each level is a zstd frame of its own.
+ *  The bytes belong to the caller, who frees them with btf_gpu_free. Errors: BTF_E_INVALID_ARG (no such texture or zstd
+ *  level), BTF_E_NOMEM, BTF_E_LIMIT (the context's memory, a level too large for zstd). Threads: free. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_gpu_texture_ktx2(const btf_gpu_export *e, uint32_t i, int32_t zstd_level,
                                                             void **data, size_t *size);
 LIBBTF_API void btf_gpu_free(const btf_gpu_export *e, void *data);
 
 /** Writes a folder of manifest.json, btf.glsl and a .ktx2 file for each texture. It appears as a whole or not at all;
- *  an earlier export at the path is replaced, anything else is not. Errors: BTF_E_IO, BTF_E_NOMEM. Threads: free. */
+ *  an earlier export at the path is replaced, anything else is not. Errors: BTF_E_INVALID_ARG (e or path is NULL, no
+ *  such zstd level), BTF_E_IO (also where the path holds something else), BTF_E_NOMEM, BTF_E_LIMIT (as of
+ *  btf_gpu_texture_ktx2). Threads: free. */
 LIBBTF_API LIBBTF_NODISCARD btf_status btf_gpu_export_write(const btf_gpu_export *e, const char *path,
                                                             int32_t zstd_level);
 /** The same with a page beside it, index.html, which the manifest then names; page NULL = none. An index.html that no

@@ -17,7 +17,8 @@ static btf_status take_target(btf_context *ctx, const btf_gpu_target *user, btf_
     BTFI_TRY(btfi_copy_in(ctx, "btf_gpu_target", out, sizeof *out, BTFI_SIZE_TO(btf_gpu_target, max_textures),
                           user));
   if (out->compress > BTF_GPU_COMPRESS_BC || out->reserved != 0)
-    return btfi_fail(ctx, BTF_E_INVALID_ARG, "btf_gpu_target: compress must be 0 or BTF_GPU_COMPRESS_BC");
+    return btfi_fail(ctx, BTF_E_INVALID_ARG,
+                     "btf_gpu_target: compress must be 0 or BTF_GPU_COMPRESS_BC, reserved 0");
   out->max_2d = or_default(out->max_2d, 8192);
   out->max_3d = or_default(out->max_3d, 2048);
   out->max_layers = or_default(out->max_layers, 256);

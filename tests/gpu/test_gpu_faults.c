@@ -2,7 +2,8 @@
 /*
  * Every allocation and every system call on the way from a model to a folder of its export is made to fail in
  * turn, in each layout of each codec. The failure must come back, nothing be leaked or left half written, and
- * the earlier export in the folder's place stay as it was, with what somebody else put into it.
+ * the earlier export in the folder's place stay as it was, with what somebody else put into it. Callers'
+ * mistakes come back as btf_gpu.h says.
  */
 #include "../btf_test.h"
 
@@ -187,8 +188,73 @@ static void exports(void **state) {
   if (layouts == 0) skip();
 }
 
+/* The errors that btf_gpu.h lists for what a caller gets wrong. */
+static void expect_refusals(const btf_model *model, const char *layout) {
+  btf_gpu_target target = BTF_GPU_TARGET_INIT;
+  btf_gpu_texture texture = BTF_GPU_TEXTURE_INIT;
+  btf_gpu_cost cost = BTF_GPU_COST_INIT;
+  const char *path = test_path("refused");
+  const int32_t levels[] = {-1, 23};
+  btf_gpu_export *e;
+  void *data = &e;
+  size_t size = 1;
+  assert_status(btf_gpu_export_create(NULL, NULL, &e), BTF_E_INVALID_ARG);
+  assert_null(e);
+  assert_status(btf_gpu_export_create(model, NULL, NULL), BTF_E_INVALID_ARG);
+  target.layout = "nonesuch";
+  assert_status(btf_gpu_export_create(model, &target, &e), BTF_E_INVALID_ARG);
+  target.layout = layout;
+  target.reserved = 1;
+  assert_status(btf_gpu_export_create(model, &target, &e), BTF_E_INVALID_ARG);
+  target.struct_size = 1;
+  assert_status(btf_gpu_export_create(model, &target, &e), BTF_E_ABI);
+  assert_ok(btf_gpu_export_create(model, NULL, &e));
+  const uint32_t count = btf_gpu_texture_count(e);
+  assert_status(btf_gpu_texture_at(e, count, &texture), BTF_E_INVALID_ARG);
+  assert_status(btf_gpu_texture_at(e, 0, NULL), BTF_E_INVALID_ARG);
+  texture.struct_size = 1;
+  assert_status(btf_gpu_texture_at(e, 0, &texture), BTF_E_ABI);
+  assert_status(btf_gpu_export_cost(e, NULL), BTF_E_INVALID_ARG);
+  cost.struct_size = 1;
+  assert_status(btf_gpu_export_cost(e, &cost), BTF_E_ABI);
+  assert_status(btf_gpu_texture_ktx2(e, count, 0, &data, &size), BTF_E_INVALID_ARG);
+  assert_true(data == NULL && size == 0);
+  assert_status(btf_gpu_export_write(NULL, path, 0), BTF_E_INVALID_ARG);
+  assert_status(btf_gpu_export_write(e, NULL, 0), BTF_E_INVALID_ARG);
+  for (size_t i = 0; i < sizeof levels / sizeof *levels; i++) {
+    assert_status(btf_gpu_texture_ktx2(e, 0, levels[i], &data, &size), BTF_E_INVALID_ARG);
+    assert_status(btf_gpu_export_write(e, path, levels[i]), BTF_E_INVALID_ARG);
+  }
+  assert_false(test_exists(path));
+  test_write_bytes(path, notes, sizeof notes);
+  assert_status(btf_gpu_export_write(e, path, 0), BTF_E_IO);
+  assert_int_equal(remove(path), 0);
+  btf_gpu_export_release(e);
+}
+
+static void refusals(void **state) {
+  const codec_case *row = codec_cases;
+  test_memory memory;
+  btf_context *ctx = test_context_with(&memory, NULL, 1);
+  const btf_codec *codec = NULL;
+  btf_model *model;
+  (void)state;
+  for (; row < codec_cases + codec_case_count; row++) {
+    codec = row->faults ? btf_codec_find(ctx, row->codec) : NULL;
+    if (codec != NULL && btf_codec_gpu_layout(codec, 0, NULL) != NULL) break;
+  }
+  if (row < codec_cases + codec_case_count) {
+    const codec_dataset_recipe recipe = {.material = MATERIAL_TINY, .channels = codec_case_channels(row, 1)};
+    assert_ok(codec_case_fit(ctx, row, &recipe, NULL, NULL, &model));
+    expect_refusals(model, btf_codec_gpu_layout(codec, 0, NULL));
+    btf_model_release(model);
+  }
+  test_context_done(ctx, &memory);
+  if (row == codec_cases + codec_case_count) skip();
+}
+
 int main(int argc, char **argv) {
-  const struct CMUnitTest tests[] = {cmocka_unit_test(exports)};
+  const struct CMUnitTest tests[] = {cmocka_unit_test(exports), cmocka_unit_test(refusals)};
   only = argc > 1 ? argv[1] : NULL;
   return btf_run("gpu_faults", tests);
 }
