@@ -144,6 +144,18 @@ static void give(cli *c, const cli_option *option, const char *value) {
   c->given_count++;
 }
 
+/* Takes the next word as the option's value; `dashed` is the option as it was written. What looks like an
+ * option is more likely one whose value before it was forgotten; --name=VALUE takes anything. */
+static int take_next(cli *c, const cli_option *option, const char *dashed, int argc, char **argv, int *i) {
+  if (*i + 1 >= argc) return cli_usage(c, "%s needs a value (%s)", dashed, option->argument);
+  const char *value = argv[*i + 1];
+  if (value[0] == '-' && (value[1] == '-' || isalpha((unsigned char)value[1])))
+    return cli_usage(c, "%s needs a value (%s), not \"%s\"", dashed, option->argument, value);
+  ++*i;
+  give(c, option, value);
+  return EXIT_DONE;
+}
+
 static int parse_long(cli *c, int argc, char **argv, int *i) {
   const char *name = argv[*i] + 2;
   const char *equals = strchr(name, '=');
@@ -155,10 +167,10 @@ static int parse_long(cli *c, int argc, char **argv, int *i) {
     give(c, option, NULL);
   } else if (equals != NULL) {
     give(c, option, equals + 1);
-  } else if (*i + 1 < argc) {
-    give(c, option, argv[++*i]);
   } else {
-    return cli_usage(c, "--%s needs a value (%s)", option->name, option->argument);
+    char dashed[64];
+    snprintf(dashed, sizeof dashed, "--%s", option->name);
+    return take_next(c, option, dashed, argc, argv, i);
   }
   return EXIT_DONE;
 }
@@ -174,13 +186,11 @@ static int parse_letters(cli *c, int argc, char **argv, int *i) {
       continue;
     }
     if (*letters == '=') letters++;
-    if (*letters != '\0') {
-      give(c, option, letters);
-    } else if (*i + 1 < argc) {
-      give(c, option, argv[++*i]);
-    } else {
-      return cli_usage(c, "-%c needs a value (%s)", option->letter, option->argument);
+    if (*letters == '\0') {
+      const char dashed[] = {'-', option->letter, '\0'};
+      return take_next(c, option, dashed, argc, argv, i);
     }
+    give(c, option, letters);
     break;
   }
   return EXIT_DONE;

@@ -106,7 +106,7 @@ static int print_text(const btf_gpu_export *e, const btf_gpu_cost *cost) {
     if (cost->psnr_db >= NOTHING_LOST)
       printf(" without loss\n");
     else
-      printf("; their texels are kept at %.1f dB, results are better\n", cost->psnr_db);
+      printf("; their texels are kept at %.1f dB\n", cost->psnr_db);
   }
   return cli_flush();
 }

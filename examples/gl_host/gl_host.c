@@ -15,7 +15,7 @@
 
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
+#include <string.h>
 
 /* The texture stays bound to its unit. Filters of 32-bit texels need GL_OES_texture_float_linear. */
 static const char *upload(const btf_gpu_texture *t, GLuint unit) {
@@ -107,37 +107,44 @@ static void draw(GLuint program, float right, float up) {
   glDrawArrays(GL_TRIANGLES, 0, 3);
 }
 
-static int done(const char *wrong) {
-  if (wrong != NULL) fprintf(stderr, "%s\n", wrong);
+/* `file` names what is wrong, or is NULL. */
+static int done(const char *file, const char *wrong) {
+  if (wrong != NULL) fprintf(stderr, "%s%s%s\n", file != NULL ? file : "", file != NULL ? ": " : "", wrong);
   screen_close();
   return wrong == NULL ? 0 : 2;
+}
+
+static int usage(FILE *out, int status) {
+  fprintf(out, "usage: example_gl_host MODEL.btfz [OUT.png]\n");
+  return status;
 }
 
 int main(int argc, char **argv) {
   btf_context *ctx;
   btf_model *model;
   btf_gpu_export *e;
-  if (argc < 2 || argc > 3) return done("usage: example_gl_host MODEL [OUT.png]");
-  if (btf_context_create(NULL, &ctx) != BTF_OK || btf_model_load(ctx, argv[1], &model) != BTF_OK ||
-      btf_gpu_export_create(model, NULL, &e) != BTF_OK)
-    return done(btf_error_message());
+  if (argc == 2 && strcmp(argv[1], "--help") == 0) return usage(stdout, 0);
+  if (argc < 2 || argc > 3 || argv[1][0] == '-') return usage(stderr, 1);
+  if (btf_context_create(NULL, &ctx) != BTF_OK || btf_model_load(ctx, argv[1], &model) != BTF_OK)
+    return done(NULL, btf_error_message());
+  if (btf_gpu_export_create(model, NULL, &e) != BTF_OK) return done(argv[1], btf_error_message());
 
   float right = -0.41318f, up = 0.55143f;
   const char *wrong = argc == 3 ? screen_open_picture() : screen_open_window();
-  if (wrong != NULL) return done(wrong);
+  if (wrong != NULL) return done(NULL, wrong);
   const GLuint program = glCreateProgram();
   wrong = load(e, program);
   btf_gpu_export_release(e);
   btf_model_release(model);
   btf_context_release(ctx);
-  if (wrong != NULL) return done(wrong);
+  if (wrong != NULL) return done(argv[1], wrong);
   if (argc == 3) {
     draw(program, right, up);
     wrong = screen_save_picture(argv[2]);
     if (wrong == NULL) printf("saved %s\n", argv[2]);
-    return done(wrong);
+    return done(argv[2], wrong);
   }
   do draw(program, right, up);
   while (screen_show(&right, &up));
-  return done(NULL);
+  return done(NULL, NULL);
 }

@@ -165,6 +165,9 @@ static bool is_plain_file_name(const char *name) {
 
 static btf_status read_format(const manifest_reader *r) {
   const char *format = btfi_json_string(btfi_json_get(r->root, "format"));
+  if (format && strcmp(format, BTFI_EXPORT_FORMAT) == 0)
+    return btfi_fail(r->ctx, BTF_E_NOT_BTF, "%s: is that of a GPU export; give the .btfz it was made of",
+                     r->label);
   if (!format || strcmp(format, BTFI_MANIFEST_FORMAT) != 0)
     return btfi_fail(r->ctx, BTF_E_NOT_BTF, "%s: \"format\" is not \"" BTFI_MANIFEST_FORMAT "\"", r->label);
   const btfi_json *v = btfi_json_get(r->root, "version");

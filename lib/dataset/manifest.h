@@ -7,6 +7,7 @@
 #include "dataset/dataset.h"
 
 #define BTFI_MANIFEST_FORMAT "btf-dataset"
+#define BTFI_EXPORT_FORMAT "btf-gpu" /* of a GPU export's manifest */
 #define BTFI_MANIFEST_FILE "manifest.json"
 enum { btfi_manifest_version = 1, btfi_manifest_most_bytes = 256 << 20 };
 

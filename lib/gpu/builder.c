@@ -35,14 +35,7 @@ static btf_status take_name(btf_gpu_builder *b, const char *name, char out[BTFI_
 
 /* ---- textures ---- */
 
-static btf_status too_large(const btf_gpu_builder *b, const char *name, const char *what, uint32_t size,
-                            uint32_t most, const char *advice) {
-  return btfi_fail(b->ctx, BTF_E_LIMIT, "GPU export: %s would have %u %s, more than the target's %u; %s",
-                   name, (unsigned)size, what, (unsigned)most, advice);
-}
-
 static btf_status check_table(btf_gpu_builder *b, const btf_gpu_table *t) {
-  const uint32_t side = (t->flags & BTF_GPU_STACK) != 0 ? b->target.max_3d : b->target.max_2d;
   const uint32_t most_levels = (t->flags & BTF_GPU_STACK) != 0 ? 1 : 32;
   const btfi_texel_format *format = btfi_texel_format_of(t->texel);
   if (format == NULL || format->side > 1 || t->width == 0 || t->height == 0 || t->slices == 0 ||
@@ -51,12 +44,6 @@ static btf_status check_table(btf_gpu_builder *b, const btf_gpu_table *t) {
                               BTF_GPU_WIDE)) != 0 ||
       t->reserved != 0 || (t->wrap != BTF_WRAP_PERIODIC && t->wrap != BTF_WRAP_CLAMP))
     return btfi_fail(b->ctx, BTF_E_PLUGIN, "GPU export: table %s makes no sense", t->name);
-  if (t->width > side || t->height > side)
-    return too_large(b, t->name, "texels along a side", BTFI_MAX(t->width, t->height), side,
-                     "a smaller material or fewer directions would do");
-  if ((t->flags & BTF_GPU_STACK) != 0 && t->slices > b->target.max_3d)
-    return too_large(b, t->name, "slices in a stack", t->slices, b->target.max_3d,
-                     "a smaller codebook would do");
   return BTF_OK;
 }
 
@@ -116,14 +103,8 @@ static btf_status make_texture(btf_gpu_builder *b, const btf_gpu_table *t, const
     return btfi_fail(
         b->ctx, BTF_E_LIMIT,
         "GPU export: %s would be a texture more than the %d that an export has; a model with fewer "
-        "components would do",
+        "components or a target with more layers would do",
         name, BTFI_GPU_TEXTURES);
-  if (b->texture_count == b->target.max_textures)
-    return btfi_fail(b->ctx, BTF_E_LIMIT,
-                     "GPU export: with %s there would be %u textures, more than the target's %u; %s would do",
-                     name, (unsigned)b->texture_count + 1, (unsigned)b->texture_count,
-                     pages->pages > 1 ? "a model with fewer components, or a target with more layers,"
-                                      : "a target with more textures");
   memcpy(texture->name, name, sizeof name);
   texture->dimension = (t->flags & BTF_GPU_STACK) != 0 ? BTF_TEXTURE_3D
                        : t->slices > 1                 ? BTF_TEXTURE_2D_ARRAY
@@ -157,6 +138,43 @@ btf_status btfi_gpu_table(btf_gpu_builder *b, const btf_gpu_table *user, uint32_
   for (uint32_t p = 0; p < pages->pages; p++) BTFI_TRY(make_texture(b, &t, pages, p));
   *number = b->table_count++;
   return BTF_OK;
+}
+
+static btf_status check_sides(const btf_gpu_builder *b, bool stacks, uint32_t most) {
+  const btfi_gpu_texture *largest = NULL;
+  uint32_t needed = most;
+  bool only_material = true;
+  for (uint32_t i = 0; i < b->table_count; i++) {
+    const btfi_gpu_texture *t = &b->texture[b->table[i].first];
+    const bool is_stack = t->dimension == BTF_TEXTURE_3D;
+    const uint32_t side = BTFI_MAX(BTFI_MAX(t->width, t->height), is_stack ? t->slices : 1);
+    if (is_stack != stacks || side <= most) continue;
+    only_material = only_material && (b->table[i].flags & BTF_GPU_MATERIAL) != 0;
+    if (side <= needed) continue;
+    needed = side;
+    largest = t;
+  }
+  if (largest == NULL) return BTF_OK;
+  return btfi_fail(b->ctx, BTF_E_LIMIT,
+                   "GPU export: %s would have %u texels along a side, more than the %u of the target's %s "
+                   "textures; %sa target of at least %u would do",
+                   largest->name, (unsigned)needed, (unsigned)most, stacks ? "3D" : "2D",
+                   only_material ? "a smaller material or " : "", (unsigned)needed);
+}
+
+btf_status btfi_gpu_check_limits(const btf_gpu_builder *b) {
+  BTFI_TRY(check_sides(b, false, b->target.max_2d));
+  BTFI_TRY(check_sides(b, true, b->target.max_3d));
+  if (b->texture_count <= b->target.max_textures) return BTF_OK;
+  return btfi_fail(
+      b->ctx, BTF_E_LIMIT,
+      "GPU export: there would be %u textures, more than the target's %u; %sa target of at least "
+      "%u would do",
+      (unsigned)b->texture_count, (unsigned)b->target.max_textures,
+      b->table_count <= b->target.max_textures
+          ? "a model with fewer components, a target with more layers or "
+          : "",
+      (unsigned)b->texture_count);
 }
 
 void *btfi_gpu_slice(btf_gpu_builder *b, uint32_t number, uint32_t level, uint32_t slice) {

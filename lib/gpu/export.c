@@ -28,6 +28,8 @@ static btf_status take_target(btf_context *ctx, const btf_gpu_target *user, btf_
 
 static btf_status find_layout(btf_context *ctx, const btf_codec_vtbl *v, const char *name, uint32_t *out) {
   *out = 0;
+  if (v == &btfi_raw_codec)
+    return btfi_fail(ctx, BTF_E_UNSUPPORTED, "a data set exports nothing; btf encode makes a model of it");
   if (v->gpu == NULL)
     return btfi_fail(ctx, BTF_E_UNSUPPORTED, "%s: this codec exports nothing for a GPU", v->id);
   if (name == NULL) return BTF_OK;
@@ -118,6 +120,7 @@ static btf_status build(btf_gpu_export *e, const btf_model *model, const btf_gpu
   BTFI_TRY(v->gpu(btfi_host(), e->ctx, model->state, &model->shape, layout, &target, e->built));
   BTFI_TRY(btfi_buffer_status(&e->built->search));
   BTFI_TRY(btfi_buffer_status(&e->built->source));
+  BTFI_TRY(btfi_gpu_check_limits(e->built));
   if (target.compress == BTF_GPU_COMPRESS_BC) BTFI_TRY(btfi_gpu_compress(e->built));
   count_bytes(e->built);
   return put_texts(e, model, target.layout);

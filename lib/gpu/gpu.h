@@ -74,6 +74,9 @@ struct btf_gpu_export {
 /* Levels and data by sizes, format and number of levels. */
 btf_status btfi_gpu_texture_allocate(btf_context *ctx, btfi_gpu_texture *texture);
 void btfi_gpu_texture_free(btf_context *ctx, btfi_gpu_texture *texture);
+/* Refuses what is beyond the target, with what would do: after the codec's work, which tells how large all of
+ * it is. */
+btf_status btfi_gpu_check_limits(const btf_gpu_builder *b);
 void btfi_gpu_page_name(const btfi_gpu_pages *table, uint32_t page, char out[BTFI_GPU_NAME]);
 
 /* ---- the parts of an export ---- */

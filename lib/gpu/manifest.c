@@ -4,6 +4,8 @@
 
 #include <string.h>
 
+#include "dataset/manifest.h"
+
 static const char *dimension_name(uint32_t dimension) {
   return dimension == BTF_TEXTURE_3D         ? "3d"
          : dimension == BTF_TEXTURE_CUBE     ? "cube"
@@ -79,7 +81,7 @@ static void put_uniform(btfi_buffer *b, const btf_gpu_uniform *u, const unsigned
 void btfi_gpu_put_manifest(const btf_gpu_export *e, const btf_model_info *model, const char *layout,
                            btfi_buffer *b) {
   const btf_gpu_builder *built = e->built;
-  btfi_put_text(b, "{\n  \"format\": \"btf-gpu\",\n  \"version\": 1,\n  ");
+  btfi_put_text(b, "{\n  \"format\": \"" BTFI_EXPORT_FORMAT "\",\n  \"version\": 1,\n  ");
   put_pair(b, "codec", model->codec_id, ",\n  ");
   put_pair(b, "layout", layout, ",\n  ");
   if (model->name != NULL) put_pair(b, "name", model->name, ",\n  ");

@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "dataset/manifest.h"
 #include "io/new_folder.h"
 
 #define MANIFEST_FILE "manifest.json"
@@ -26,7 +27,7 @@ static bool is_texture_name(const char *name) {
 static btf_status list_files(const btfi_json *manifest, btfi_buffer *files) {
   const char *format = btfi_json_string(btfi_json_get(manifest, "format"));
   const btfi_json *textures = btfi_json_get(manifest, "textures");
-  if (format == NULL || strcmp(format, "btf-gpu") != 0) return BTF_E_INVALID_ARG;
+  if (format == NULL || strcmp(format, BTFI_EXPORT_FORMAT) != 0) return BTF_E_INVALID_ARG;
   put_name(files, MANIFEST_FILE, "");
   put_name(files, SHADER_FILE, "");
   /* A page that the manifest does not name is somebody else's. */

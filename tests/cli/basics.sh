@@ -57,6 +57,12 @@ run info --json=yes x
 expect "value for a switch" 1 "--json takes no value"
 run eval x --lod
 expect "option without its value" 1 "--lod needs a value"
+run eval x --lod --json
+expect "an option for the value of another" 1 '--lod needs a value (L), not "--json"'
+run encode x -o -c fmf
+expect "a letter for the value of another" 1 '-o needs a value (PATH), not "-c"'
+run eval x --lod=-deep
+expect "a value after = may be anything" 1 '--lod is "-deep"'
 run eval x --lod=deep
 expect "lod is not a number" 1 '--lod is "deep"'
 run eval x --lod -1

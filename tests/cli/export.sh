@@ -56,6 +56,8 @@ else
     grep -qE '^import |<link rel="stylesheet"|src="src/' exported/index.html && fail "the page needs other files" || pass
     run export export.btfz -o exported --quiet
     [ ! -e exported/index.html ] && pass || fail "the page of an earlier export goes with it"
+    run export export.btfz --compress -o packed
+    expect "--compress without its value" 1 '--compress needs a value (bc), not "-o"'
     run export export.btfz -o packed --compress zip
     expect "an unknown compression" 1 "--compress takes bc"
     run export export.btfz -o packed --layout rgba --compress bc
@@ -75,13 +77,17 @@ else
       grep -q '"vk_format": 145' packed/manifest.json && grep -q '"psnr_db"' packed/manifest.json && pass ||
         fail "the manifest says what is compressed" "$(cat packed/manifest.json)"
     fi
+    run info exported
+    expect "an export where data are wanted" 3 "exported/manifest.json: is that of a GPU export; give the .btfz"
     mkdir other && touch other/manifest.json
     run export export.btfz -o other
     expect "a folder of somebody else" 2 "not a GPU export"
     run export export.btfz -o x --layout nonesuch
     expect "an unknown layout" 1 "nonesuch"
     run export export.btfz -o x --max-textures 1
-    expect "too few textures" 6 "textures"
+    expect "too few textures" 6 "4 textures, more than the target's 1; a target of at least 4 would do"
+    run export export.btfz -o x --max-size 100
+    expect "a map of one size" 6 "2D textures; a target of at least 256 would do"
     run export export.btfz -o x --max-size 16 --max-layers 1 --max-textures 64
     expect "pages for layers" 6 "along a side"
     run export export.btfz -o paged --max-layers 1
@@ -96,7 +102,7 @@ else
     [ "$status" = 0 ] && [ -z "$err" ] && pass || fail "no note where every browser will do" "$err"
     run export bumps.btfz -o paged --compress bc
     expect "blocks that lose something" 0 "BC7 at "
-    grep -q "^blocks save .*kept at [0-9.]* dB" out.txt && pass || fail "what all blocks cost" "$out"
+    grep -q "^blocks save .* texels are kept at [0-9.]* dB$" out.txt && pass || fail "what all blocks cost" "$out"
     [ ! -e x ] && pass || fail "a failed export left something behind"
   fi
   run export export.btfd -o x

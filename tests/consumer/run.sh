@@ -55,6 +55,25 @@ build_package() {
 }
 check "find_package" build_package
 
+# As they are installed, together and each folder alone.
+build_examples() {
+  local examples=$work/prefix/share/doc/libbtf/examples folder
+  for folder in . gl_host plugin; do
+    cmake -S "$examples/$folder" -B "$work/examples/$folder" -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release &&
+      cmake --build "$work/examples/$folder" || return
+  done
+  "$work/examples/example_source" "$work/source.btfz" && "$work/examples/example_evaluate" "$work/source.btfz"
+}
+check "the examples by themselves" build_examples
+
+# shellcheck disable=SC2046
+pkg_gl_host() {
+  (cd "$work/prefix/share/doc/libbtf/examples/gl_host" &&
+    ${CC:-cc} gl_host.c screen.c -o "$work/pkg_gl_host" $(pkg-config --cflags --libs libbtf egl glesv2 libpng) -lm) &&
+    "$work/pkg_gl_host" --help
+}
+if pkg-config --exists egl glesv2 libpng; then check "pkg-config of the example gl_host" pkg_gl_host; fi
+
 # With static libraries by default, so that those of the formats are made too; they are installed for what follows.
 build_subdirectory() {
   cmake -S "$source/tests/consumer" -B "$work/sub" -DLIBBTF_SUBDIRECTORY="$source" -DLIBBTF_BUILD_TOOLS=OFF \

@@ -31,6 +31,21 @@ static bool is_blocks(uint32_t vk_format) {
   return vk_format >= 143 && vk_format <= 145;
 }
 
+/* What samples of a format say: qualifiers (bit 7: float, bit 6: signed), and which words stand for 0 or -1
+ * and for 1. Of floats these are floats, of bytes with a sign -127 and 127, as -128 means -1, too. */
+typedef struct sample_words {
+  uint32_t qualifiers, lower, upper;
+} sample_words;
+
+static sample_words sample_words_of(uint32_t vk_format) {
+  const uint32_t one = 0x3f800000u, minus_one = 0xbf800000u;
+  if (vk_format == 145) return (sample_words){0, 0, UINT32_MAX};
+  if (vk_format == 143) return (sample_words){0x80, 0, one};
+  if (vk_format == 38) return (sample_words){0x40, UINT32_MAX - 126, 127};
+  if (vk_format < 38) return (sample_words){0, 0, 255};
+  return (sample_words){0xc0, minus_one, one};
+}
+
 /* Section 3.10 and the Khronos Data Format specification 1.3: a basic descriptor with a sample for each
  * channel. */
 static const char *check_descriptor(const unsigned char *d, uint64_t size, const ktx2_texture *t) {
@@ -42,24 +57,25 @@ static const char *check_descriptor(const unsigned char *d, uint64_t size, const
   const uint32_t model = t->vk_format == 145 ? 134 : is_blocks(t->vk_format) ? 133 : 1;
   const uint32_t side = is_blocks(t->vk_format) ? 4 : 1;
   if (d[12] != model || d[14] != 1) return "the texels are not of the format's model, or not linear";
+  if (d[13] != 0 || d[15] != 0) return "the texels are colours of some primaries, or premultiplied";
   if (d[16] != side - 1 || d[17] != side - 1 || d[18] != 0 || d[19] != 0) return "blocks of a wrong size";
-  if (d[20] != texel) return "bytesPlane0 is not the texel's size";
+  if (little(d + 20, 8) != texel) return "there is not one plane with bytes of the texel's size";
+  const sample_words words = sample_words_of(t->vk_format);
   for (uint32_t c = 0; c < channels; c++) {
     const unsigned char *s = d + 28 + 16 * c;
     if (little(s, 2) != c * channel * 8 || s[2] != channel * 8 - 1) return "a sample is elsewhere";
     if ((s[3] & 15) != (c == 3 ? 15 : c)) return "a sample is of another channel";
-    if (side == 1) continue;
-    const uint32_t qualifiers = t->vk_format == 145 ? 0 : t->vk_format == 144 ? 0xc0 : 0x80;
-    const uint32_t lower = t->vk_format == 144 ? 0xbf800000u : 0;
-    if ((s[3] & 0xf0) != qualifiers || little(s + 8, 4) != lower ||
-        little(s + 12, 4) != (t->vk_format == 145 ? 0xffffffffu : 0x3f800000u))
-      return "a sample of blocks has wrong bounds";
+    if ((s[3] & 0xf0) != words.qualifiers || little(s + 4, 4) != 0) return "a sample is of another kind";
+    if (little(s + 8, 4) != words.lower || little(s + 12, 4) != words.upper)
+      return "a sample has wrong bounds";
   }
   return NULL;
 }
 
-static const char *check_pairs(const unsigned char *p, uint64_t size, ktx2_texture *t) {
-  const char *before = "";
+/* Columns to the right, rows up, slices inwards: along growing u, v and number. */
+static const char *check_pairs(const unsigned char *p, uint64_t size, const ktx2_texture *t) {
+  const char *before = "", *orientation = t->depth != 0 ? "rui" : "ru";
+  bool has_orientation = false;
   uint64_t at = 0;
   while (at < size) {
     if (size - at < 4) return "a key's length is cut off";
@@ -69,11 +85,16 @@ static const char *check_pairs(const unsigned char *p, uint64_t size, ktx2_textu
     const size_t key_length = strnlen(key, length);
     if (key_length == length) return "a key has no end";
     if (strcmp(before, key) >= 0) return "keys are not sorted";
-    if (strcmp(key, "KTXorientation") == 0)
-      strncpy(t->orientation, key + key_length + 1, sizeof t->orientation - 1);
+    if (strcmp(key, "KTXorientation") == 0) {
+      const size_t value = key_length + 1;
+      if (length - value != strlen(orientation) + 1 || memcmp(key + value, orientation, length - value) != 0)
+        return "columns, rows or slices go another way";
+      has_orientation = true;
+    }
     before = key;
     at += 4 + padded;
   }
+  if (!has_orientation) return "no orientation";
   return at == size ? NULL : "the keys' length is wrong";
 }
 

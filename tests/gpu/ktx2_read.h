@@ -12,10 +12,10 @@ typedef struct ktx2_texture {
   uint32_t vk_format, type_size, width, height, depth, layers, faces, levels, scheme;
   unsigned char *level[KTX2_MOST_LEVELS]; /* decompressed */
   uint64_t level_size[KTX2_MOST_LEVELS];
-  char orientation[8];
 } ktx2_texture;
 
-/* NULL when everything in the file is as the specification wants it, otherwise what is wrong. */
+/* NULL when everything in the file is as the specification and docs/gpu-export.md want it, otherwise what is
+ * wrong. */
 const char *ktx2_read(const unsigned char *file, size_t size, ktx2_texture *out);
 void ktx2_free(ktx2_texture *t);
 

@@ -1,10 +1,14 @@
 /* SPDX-License-Identifier: MIT */
 /*
  * Exports of every codec, evaluated by software GL from their folders alone and compared with the C
- * evaluation, in each dialect of GLSL. Faults planted in the shader show that the comparison notices them.
+ * evaluation, in each dialect of GLSL. Faults planted in shaders and files show that the comparison and the
+ * reader notice them.
  */
 #include "gl_host.h"
+#include "ktx2_read.h"
 #include "trial.h"
+
+#include "gpu/gpu.h"
 
 static const btf_context_desc defaults = BTF_CONTEXT_DESC_INIT;
 
@@ -169,6 +173,60 @@ static void small_targets(void **state) {
   host->close(host);
 }
 
+/* Flips every bit of bytes of a file; each must be noticed. */
+static void expect_bits_to_count(const btfi_buffer *file, size_t at, size_t size, const char *what) {
+  for (size_t bit = 8 * at; bit < 8 * (at + size); bit++) {
+    ktx2_texture t;
+    file->data[bit / 8] ^= (unsigned char)(1u << bit % 8);
+    if (ktx2_read(file->data, file->size, &t) == NULL)
+      fail_msg("bit %zu of byte %zu of the %s does not count", bit % 8, bit / 8 - at, what);
+    ktx2_free(&t);
+    file->data[bit / 8] ^= (unsigned char)(1u << bit % 8);
+  }
+}
+
+/* The header has the descriptor's and the pairs' offsets and sizes in one byte each, as they are small. */
+static void expect_file_as_specified(btf_context *ctx, uint32_t texel, uint32_t dimension) {
+  enum { DESCRIPTOR = 48, PAIRS = 56, SIZE = 4 };
+  btfi_gpu_texture texture = {.name = "btf_map",
+                              .dimension = dimension,
+                              .texel = texel,
+                              .width = 5,
+                              .height = 3,
+                              .slices = dimension == BTF_TEXTURE_2D ? 1 : 2,
+                              .level_count = 1};
+  btfi_buffer file;
+  ktx2_texture t;
+  btfi_buffer_init(&file, ctx);
+  assert_ok(btfi_gpu_texture_allocate(ctx, &texture));
+  assert_ok(btfi_gpu_put_ktx2(&texture, 0, &file));
+  const char *wrong = ktx2_read(file.data, file.size, &t);
+  if (wrong != NULL) fail_msg("format %u: %s", texel, wrong);
+  ktx2_free(&t);
+  expect_bits_to_count(&file, file.data[DESCRIPTOR], file.data[DESCRIPTOR + SIZE], "descriptor");
+  /* The first pair: its length, key and value. */
+  expect_bits_to_count(&file, file.data[PAIRS], 4 + file.data[file.data[PAIRS]], "orientation");
+  btfi_gpu_texture_free(ctx, &texture);
+  btfi_buffer_free(&file);
+}
+
+static void files_are_as_specified(void **state) {
+  static const uint32_t texels[] = {BTF_TEXEL_R8_UNORM,     BTF_TEXEL_RG8_UNORM,   BTF_TEXEL_RGBA8_UNORM,
+                                    BTF_TEXEL_RGBA8_SNORM,  BTF_TEXEL_R16_FLOAT,   BTF_TEXEL_RG16_FLOAT,
+                                    BTF_TEXEL_RGBA16_FLOAT, BTF_TEXEL_R32_FLOAT,   BTF_TEXEL_RG32_FLOAT,
+                                    BTF_TEXEL_RGBA32_FLOAT, BTF_TEXEL_BC6H_UFLOAT, BTF_TEXEL_BC6H_SFLOAT,
+                                    BTF_TEXEL_BC7_UNORM};
+  btf_context *ctx;
+  (void)state;
+  assert_ok(btf_context_create(&defaults, &ctx));
+  for (size_t i = 0; i < sizeof texels / sizeof *texels; i++) {
+    expect_file_as_specified(ctx, texels[i], BTF_TEXTURE_2D);
+    expect_file_as_specified(ctx, texels[i], BTF_TEXTURE_2D_ARRAY);
+    if (btfi_texel_format_of(texels[i])->side == 1) expect_file_as_specified(ctx, texels[i], BTF_TEXTURE_3D);
+  }
+  btf_context_release(ctx);
+}
+
 static void faults_are_noticed(void **state) {
   gpu_host *host = open_host(GL_ES_300);
   btf_context *ctx;
@@ -181,8 +239,9 @@ static void faults_are_noticed(void **state) {
 }
 
 int main(void) {
-  const struct CMUnitTest tests[] = {cmocka_unit_test(every_codec), cmocka_unit_test(every_dialect),
-                                     cmocka_unit_test(pictures), cmocka_unit_test(small_targets),
-                                     cmocka_unit_test(faults_are_noticed)};
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(every_codec),        cmocka_unit_test(every_dialect),
+      cmocka_unit_test(pictures),           cmocka_unit_test(small_targets),
+      cmocka_unit_test(faults_are_noticed), cmocka_unit_test(files_are_as_specified)};
   return btf_run("gpu", tests);
 }

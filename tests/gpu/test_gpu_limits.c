@@ -276,67 +276,118 @@ static void laplacian_maps_have_the_papers_bytes(void **state) {
 
 /* ---- refusals ---- */
 
+/* "a target of at least N": N is enough, and one less is not. */
+static void expect_least_to_do(const btf_model *model, const btf_gpu_target *refused, uint32_t *limit) {
+  const char *said = strstr(btf_error_message(), "a target of at least ");
+  const uint32_t given = *limit;
+  btf_gpu_export *e;
+  assert_non_null(said);
+  const uint32_t least = (uint32_t)strtoul(said + strlen("a target of at least "), NULL, 10);
+  assert_in_range(least, given + 1, 1 << 20);
+  *limit = least;
+  assert_ok(btf_gpu_export_create(model, refused, &e));
+  btf_gpu_export_release(e);
+  *limit = least - 1;
+  assert_status(btf_gpu_export_create(model, refused, &e), BTF_E_LIMIT);
+  *limit = given;
+}
+
 static void refusals_say_what_would_do(void **state) {
   static const struct {
     const char *codec, *options;
     btf_gpu_target target;
     const char *limit, *would_do;
-    btf_gpu_target fits; /* as the message says */
+    btf_gpu_target fits; /* as the message says; nothing where it says a least target only */
+    size_t least; /* where the member of a target is that the message has the least value of; 0 = none */
   } trials[] = {
+      /* The map of facets has 256 texels along a side, whatever the model. */
       {"fmf",
        "components=8",
        {.max_2d = 100},
-       "texels along a side, more than the target's 100",
-       "fewer directions",
-       {.max_2d = 256}},
+       "btf_light_near_map would have 256 texels along a side, more than the 100",
+       "textures; a target of at least 256 would do",
+       {0},
+       offsetof(btf_gpu_target, max_2d)},
+      /* Other textures are too large, too. */
+      {"fmf",
+       "components=8",
+       {.max_2d = 3},
+       "256 texels along a side, more than the 3",
+       "textures; a target of at least",
+       {0},
+       offsetof(btf_gpu_target, max_2d)},
       {"fmf",
        "components=8",
        {.layout = "raster", .max_2d = 500},
        "512 texels along a side, more than the target's 500",
        "layout",
-       {.layout = "rgba", .max_2d = 500}},
+       {.layout = "rgba", .max_2d = 500},
+       0},
       {"fmf",
        "components=30",
        {.max_layers = 1, .max_textures = 9},
-       "10 textures, more than the target's 9",
-       "fewer components, or a target with more layers",
-       {.max_textures = 9}},
+       " textures, more than the target's 9",
+       "fewer components, a target with more layers or",
+       {.max_textures = 9},
+       offsetof(btf_gpu_target, max_textures)},
+      /* More layers do not help, nor fewer components. */
+      {"pvpca",
+       "components=8",
+       {.max_textures = 2},
+       " textures, more than the target's 2",
+       "2; a target of at least",
+       {0},
+       offsetof(btf_gpu_target, max_textures)},
       {"cmf",
        "edge=8,resolution=8,codebook=16",
        {.layout = "stacks", .max_3d = 15},
        "16 maps of one projection, the target's 3D textures have 15 slices",
        "\"atlas\" would do",
-       {.layout = "atlas", .max_3d = 15}},
+       {.layout = "atlas", .max_3d = 15},
+       0},
       {"cmf",
        "edge=8,resolution=8,codebook=0",
        {.layout = "stacks", .max_3d = 15},
        "15 slices",
        "\"atlas\" would do",
-       {.layout = "atlas", .max_3d = 15}},
+       {.layout = "atlas", .max_3d = 15},
+       0},
+      /* Few maps, of many texels. */
+      {"cmf",
+       "edge=16,resolution=16,codebook=2",
+       {.layout = "stacks", .max_3d = 5},
+       "more than the 5 of the target's 3D textures",
+       "textures; a target of at least",
+       {0},
+       offsetof(btf_gpu_target, max_3d)},
       {"lpca",
        "clusters=9,components=8",
        {.layout = "bytes", .max_3d = 17},
        "stacks of 18 slices, the target's 3D textures have 17",
        "\"full\" would do",
-       {.layout = "full", .max_3d = 17}},
+       {.layout = "full", .max_3d = 17},
+       0},
       {"laplacian",
        "levels=3",
        {.layout = "maps", .max_2d = 30},
        "more than the target's 30",
        "\"arrays\" would do",
-       {.layout = "arrays", .max_2d = 256}},
+       {.layout = "arrays", .max_2d = 256},
+       0},
       {"pvpca",
        "components=8",
        {.max_layers = 2, .max_textures = 7},
-       "8 textures, more than the target's 7",
-       "target with more layers",
-       {.max_textures = 7}},
+       " textures, more than the target's 7",
+       "a target with more layers or",
+       {.max_textures = 7},
+       offsetof(btf_gpu_target, max_textures)},
       {"lafortune",
        "lobes=3",
        {.max_2d = 6},
-       "7 texels along a side, more than the target's 6",
-       "smaller material",
-       {.max_2d = 7}},
+       "7 texels along a side, more than the 6",
+       "a smaller material or",
+       {0},
+       offsetof(btf_gpu_target, max_2d)},
   };
   btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
   btf_context *ctx;
@@ -353,8 +404,12 @@ static void refusals_say_what_would_do(void **state) {
     assert_null(e);
     assert_message_has(trials[i].limit);
     assert_message_has(trials[i].would_do);
-    assert_ok(btf_gpu_export_create(model, &fits, &e));
-    btf_gpu_export_release(e);
+    if (trials[i].least != 0)
+      expect_least_to_do(model, &target, (uint32_t *)(void *)((char *)&target + trials[i].least));
+    if (trials[i].fits.max_2d + trials[i].fits.max_3d + trials[i].fits.max_textures != 0) {
+      assert_ok(btf_gpu_export_create(model, &fits, &e));
+      btf_gpu_export_release(e);
+    }
     btf_model_release(model);
   }
   btf_context_release(ctx);
