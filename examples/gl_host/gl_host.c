@@ -114,17 +114,15 @@ static int done(const char *file, const char *wrong) {
   return wrong == NULL ? 0 : 2;
 }
 
-static int usage(FILE *out, int status) {
-  fprintf(out, "usage: example_gl_host MODEL.btfz [OUT.png]\n");
-  return status;
-}
-
 int main(int argc, char **argv) {
   btf_context *ctx;
   btf_model *model;
   btf_gpu_export *e;
-  if (argc == 2 && strcmp(argv[1], "--help") == 0) return usage(stdout, 0);
-  if (argc < 2 || argc > 3 || argv[1][0] == '-') return usage(stderr, 1);
+  if (argc < 2 || argc > 3 || argv[1][0] == '-') {
+    const int asked = argc == 2 && strcmp(argv[1], "--help") == 0;
+    fprintf(asked ? stdout : stderr, "usage: example_gl_host MODEL.btfz [OUT.png]\n");
+    return asked ? 0 : 1;
+  }
   if (btf_context_create(NULL, &ctx) != BTF_OK || btf_model_load(ctx, argv[1], &model) != BTF_OK)
     return done(NULL, btf_error_message());
   if (btf_gpu_export_create(model, NULL, &e) != BTF_OK) return done(argv[1], btf_error_message());
