@@ -29,8 +29,9 @@ static const btf_gpu_cost search = {
  * corner is exact, so that what q is rounded by is a share of it: 2^-25. With the rounded forms, products and
  * sums, distances are off by 6 * 2^-25 of |q.x| + |q.y|, the third weight, in distances, by as much again;
  * nothing is lost where the facets around the point are small. A walk that does not end all the same is
- * followed by a search everywhere, as in locate.c. */
-static void put_walk(btfi_buffer *out, const char *n, uint32_t facets) {
+ * followed by a search everywhere, as in locate.c; what fills up the last row holds everything, and names
+ * sample 0. */
+static void put_walk(btfi_buffer *out, const char *n) {
   btfi_put_text(out, "void btf_locate_%s(vec3 direction, out ivec3 index, out vec3 weight) {\n", n);
   btfi_put_text(out,
                 "  vec2 p = btf_parabolic(direction);\n"
@@ -38,11 +39,13 @@ static void put_walk(btfi_buffer *out, const char *n, uint32_t facets) {
                 MAP, MAP - 1);
   btfi_put_text(out, "  int facet = int(btf_%s_near(cell.x, cell.y, 0, 0).r + 0.5), x = 0, y = 0;\n", n);
   btfi_put_text(out,
-                "  for (int walked = 0; walked < %u; ++walked) {\n"
-                "    if (walked >= %u) facet = walked - %u;\n"
+                "  ivec2 size = textureSize(btf_%s_facet_map, 0);\n"
+                "  int facets = size.x / 4 * size.y;\n"
+                "  for (int walked = 0; walked < 2 * facets; ++walked) {\n"
+                "    if (walked >= facets) facet = walked - facets;\n"
                 "    x = (facet & %d) * 4;\n"
                 "    y = facet >> 8;\n",
-                2 * facets, facets, facets, ROW - 1);
+                n, ROW - 1);
   btfi_put_text(out,
                 "    vec4 first = btf_%s_facet(x, y, 0, 0), second = btf_%s_facet(x + 1, y, 0, 0);\n"
                 "    vec2 q = p - first.xy;\n"
@@ -83,7 +86,7 @@ static btf_status put_facets(btf_gpu_builder *b, const char *name, const btf_dir
   table.width = table.height = MAP;
   BTFI_TRY(btfi_gpu_table(b, &table, &number));
   btfi_dirset_facet_map(set, MAP, btfi_gpu_slice(b, number, 0, 0));
-  put_walk(&b->search, name, facets);
+  put_walk(&b->search, name);
   return BTF_OK;
 }
 

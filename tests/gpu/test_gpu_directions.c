@@ -170,7 +170,7 @@ typedef struct walk_fault {
   const char *what, *before, *text;
 } walk_fault;
 static const walk_fault faults[] = {
-    {"at most 64 facets", "walked < ", "64; ++walked) {//"},
+    {"at most 64 facets", "walked < ", "64; ++walked) { //"},
     {"a slack of 1e-5", "slack = -4e-7", " * 25.0; //"},
 };
 
