@@ -2,10 +2,11 @@
 // What the viewer can do beside the sphere under one light: each with one codec's export.
 import { cpSync, mkdirSync, readdirSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
+import { pathToFileURL } from 'node:url';
 import { execFileSync } from 'node:child_process';
 import { read } from '../../viewer/node_modules/ktx-parse/dist/ktx-parse.esm.js';
 import { check, launch, meanDifference, openPage } from './harness.mjs';
-import { alike, browser, btf, change, close, compare, drag, exported, openViewer, picture, plain, reference, root, SIDE, small, work } from './bench.mjs';
+import { alike, browser, btf, change, close, compare, drag, exported, openViewer, picture, plain, ready, reference, root, SIDE, small, source, work } from './bench.mjs';
 
 const linear = (byte) => (byte / 255 <= 0.04045 ? byte / 255 / 12.92 : ((byte / 255 + 0.055) / 1.055) ** 2.4);
 const coded = (value) => { const x = Math.min(Math.max(value, 0), 1); return 255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055); };
@@ -188,6 +189,62 @@ export async function errors(name) {
   await old.close();
 }
 
+// Pages that are opened from disk, where browsers run no modules and read no files, and what a page with an export in it is asked for.
+export async function fromDisk(name) {
+  const text = (page) => page.evaluate(() => document.body.innerText.trim());
+  const alone = await openPage(browser, small);
+  await alone.goto(pathToFileURL(join(source, 'viewer/index.html')).href);
+  await alone.waitForFunction(() => document.body.innerText.trim());
+  check('the page from disk says that it has to be served', /served over HTTP[^]*python3 -m http\.server[^]*btf export/.test(await text(alone)));
+  await alone.context().close();
+
+  const served = await openPage(browser, small);
+  let before = null;
+  await served.route('**/src/main.js', async (route) => {
+    await served.waitForFunction(() => document.readyState !== 'loading');
+    before = await text(served);
+    await route.continue();
+  });
+  await served.goto(`${root}/viewer/index.html`);
+  await ready(served);
+  check('a page that is served does not say so, before its modules run or after', before === '' && !/served/.test(await text(served)), before);
+  await close(served, 'a page that is served');
+
+  const page = await openPage(browser, small), own = pathToFileURL(join(work, name, 'index.html')).href;
+  await page.goto(`${own}?frames=0&second=../coarse`);
+  await ready(page);
+  const said = await page.evaluate(() => [document.querySelector('.message.shown')?.firstChild.textContent, globalThis.viewer.renderer.slots.map(Boolean).join()]);
+  check('?second= from disk: a message says why not, and what to do', /may not read files on disk.*Compare with.*coarse/.test(said[0]) && !/missing/.test(said[0]) && said[1] === 'true,false', said.join());
+  await page.context().close();
+
+  const asked = await openPage(browser, small), size = (folder) => JSON.parse(readFileSync(join(work, folder, 'manifest.json'), 'utf8')).cost.texture_bytes;
+  await asked.goto(`${exported(name)}/index.html?frames=0&export=../coarse`);
+  await ready(asked);
+  const shown = await asked.evaluate(() => globalThis.viewer.renderer.slots[0].manifest.cost.texture_bytes);
+  check('?export= wins over the export in the page', shown === size('coarse') && shown !== size(name), `${shown}`);
+  await close(asked, 'a page with an export in it');
+}
+
+// Two exports of one model are told apart.
+export async function headings(name) {
+  const page = await openViewer(name, { viewport: { width: 1120, height: 780 } }, 'frames=0');
+  const titles = async (second) => {
+    await page.evaluate((url) => globalThis.viewer.open(url, 1), exported(second));
+    return page.evaluate(() => [...document.querySelectorAll('.title')].map((title) => [...title.children].map((line) => line.textContent).join(': ')));
+  };
+  const same = await titles(`${name}-zstd`);
+  check('two exports that are alike are named by their folders', same[0].endsWith(` · ${name}`) && same[1] === `${same[0]}-zstd`, same.join(' | '));
+  if (await page.evaluate(() => globalThis.viewer.renderer.gl.getExtension('EXT_texture_compression_bptc') !== null)) {
+    const others = await titles(`${name}-bc`), { psnr_db: loss } = JSON.parse(readFileSync(join(work, `${name}-bc`, 'manifest.json'), 'utf8')).cost;
+    check('an export in blocks is named so', / · bc · /.test(others[1]) && !/bc/.test(others[0]) && !others[0].endsWith(name), others.join(' | '));
+    const cells = await page.evaluate(() => [...[...document.querySelectorAll('table tr')].find((row) => row.cells[0].textContent === 'Blocks').cells].map((cell) => cell.textContent));
+    check('statistics: blocks and what they cost', cells[1] === 'none' && cells[2] === `BC7 · ${loss.toFixed(1)} dB`, cells.join(' | '));
+  }
+  await page.evaluate(() => { document.querySelector('.panel').scrollTop = 1e4; return globalThis.viewer.picture(2); });
+  await page.screenshot({ path: join(work, 'headings.png') });
+  await close(page, 'headings');
+}
+
 // What the canvas holds whenever it is drawn or emptied, while another export, surface and size replace what is there.
 export async function flicker(name) {
   const page = await openViewer(name, small, 'panel=0');
@@ -226,6 +283,8 @@ export async function desktop(name) {
   const manifest = JSON.parse(readFileSync(join(work, name, 'manifest.json'), 'utf8'));
   const bytes = manifest.textures.reduce((sum, { file }) => sum + read(readFileSync(join(work, name, file))).levels.reduce((s, l) => s + l.levelData.length, 0), 0);
   const rows = await page.evaluate(() => Object.fromEntries([...document.querySelectorAll('table tr')].map((row) => [row.cells[0].textContent, row.cells[1].textContent])));
+  const shown = await page.evaluate(async () => { await globalThis.viewer.picture(1); return getComputedStyle(document.querySelector('canvas.view')).opacity; });
+  check('a screenshot that follows a picture shows it whole', shown === '1', shown);
   const number = (text) => Number(text.replace(/[^0-9.]/g, ''));
   const size = number(rows.Size) * (/MiB/.test(rows.Size) ? 1 << 20 : 1024);
   check('statistics: bytes of the textures', Math.abs(size / bytes - 1) < 0.01, `${rows.Size} of ${bytes}`);

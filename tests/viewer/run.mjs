@@ -72,8 +72,8 @@ async function test() {
       await layout('halves', 'stacks', true);
     });
   for (const name of quick ? ['fmf'] : [...codecs.filter((codec) => codec !== 'lafortune'), 'halves']) await attempt(`${name}: blocks`, () => inBlocks(name));
-  const { errors, desktop, ...longer } = features;
-  for (const [title, feature] of Object.entries({ errors, desktop, ...(quick ? {} : longer) })) await attempt(title, () => feature('fmf'));
+  const { errors, desktop, fromDisk, headings, ...longer } = features;
+  for (const [title, feature] of Object.entries({ errors, desktop, fromDisk, headings, ...(quick ? {} : longer) })) await attempt(title, () => feature('fmf'));
   if (!quick) await attempt('screenshot', () => screenshot('fmf'));
 }
 

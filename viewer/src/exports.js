@@ -26,27 +26,34 @@ export async function readExport(read, progress = () => {}) {
     return { entry, ...texture };
   }));
   const bytes = textures.reduce((sum, t) => sum + t.levels.reduce((s, level) => s + level.length, 0), 0);
-  return { manifest, glsl, textures, bytes };
+  return { manifest, glsl, textures, bytes, folder: read.folder };
 }
 
 const missing = (name) => (name === 'manifest.json' ? 'no export: manifest.json is missing' : `the export is not complete: ${name} is missing`);
 
+const inFolder = (path, read) => Object.assign(read, { folder: path.split('/').filter(Boolean).at(-1) });
+
 export function fromUrl(url) {
   const folder = new URL(url.endsWith('/') ? url : `${url}/`, location.href);
-  return async (name) => {
+  return inFolder(folder.pathname, async (name) => {
     const answer = await fetch(new URL(name, folder)).catch((error) => ({ statusText: error.message }));
     if (answer.ok) return new Uint8Array(await answer.arrayBuffer());
+    if (folder.protocol === 'file:')
+      throw new Error(`a page may not read files on disk by their address, even if it was opened from there: drop the folder here, or choose it with “Open …” or “Compare with …” (${folder.href})`);
     throw new Error(`${missing(name)} in ${folder.href} (${[answer.status, answer.statusText].filter(Boolean).join(' ')})`);
-  };
+  });
 }
+
+const dropped = new WeakMap(); // folders of files that do not tell them
+const folderOf = (file) => dropped.get(file) ?? (file.webkitRelativePath || '').replace(/[^/]*$/, '');
 
 export function fromFiles(files) {
   const byName = new Map(files.map((file) => [file.name, file]));
-  return async (name) => {
+  return inFolder(folderOf(files[0]), async (name) => {
     const file = byName.get(name);
     if (!file) throw new Error(`${missing(name)} among the files`);
     return new Uint8Array(await file.arrayBuffer());
-  };
+  });
 }
 
 // The export that `btf export --viewer` wrote into this page, or null.
@@ -64,7 +71,10 @@ export function fromPage() {
 }
 
 function filesOfEntry(entry) {
-  if (entry.isFile) return new Promise((resolve, reject) => entry.file((file) => resolve([file]), reject));
+  if (entry.isFile) return new Promise((resolve, reject) => entry.file((file) => {
+    dropped.set(file, entry.fullPath.replace(/[^/]*$/, ''));
+    resolve([file]);
+  }, reject));
   const reader = entry.createReader(), found = [];
   return new Promise((resolve, reject) => {
     // a reader hands out a part at a time and nothing at the end

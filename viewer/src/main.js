@@ -21,6 +21,7 @@ function startState() {
 }
 
 async function run() {
+  document.querySelector('.welcome')?.remove(); // what index.html says where modules do not run
   const state = startState(), sources = [null, null], shapes = {};
   let renderer = null, moving = 0, last = 0, asked = false, hovered = null, mapFile = null;
   let frozen = new URLSearchParams(location.search).get('frames') === '0';
@@ -271,6 +272,7 @@ async function run() {
       frozen = true;
       await renderer.complete(state, samples);
       const url = canvas.toDataURL('image/png');
+      canvas.style.transition = 'none'; // a screenshot that follows shows it whole
       canvas.classList.add('ready');
       ball.draw();
       frozen = before;
@@ -278,8 +280,8 @@ async function run() {
     },
   };
   try {
-    if (embedded) await load(embedded, 0);
-    else if (wanted.get('export')) await load(fromUrl(wanted.get('export')), 0);
+    if (wanted.get('export')) await load(fromUrl(wanted.get('export')), 0);
+    else if (embedded) await load(embedded, 0);
     if (wanted.get('second')) await load(fromUrl(wanted.get('second')), 1);
   } catch (error) { report(error); }
   globalThis.viewer.ready = true;
