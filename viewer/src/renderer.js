@@ -44,19 +44,26 @@ export class Renderer {
     this.shadowTarget = gl.createFramebuffer();
   }
 
+  // Both programs and the textures of an export, or none of them.
+  async makeMaterial(source) {
+    const { gl } = this, { manifest, glsl } = source;
+    const shadows = manifest.textures.length < gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS);
+    const making = [makeProgramAside(gl, SURFACE_VERTEX, shadeFragment(glsl, shadows)),
+      makeProgramAside(gl, SCREEN_VERTEX, discFragment(glsl))];
+    try {
+      const [shade, disc] = await Promise.all(making);
+      return { manifest, shadows, shade, disc, uploaded: uploadExport(gl, source), means: null };
+    } catch (error) {
+      for (const { value } of await Promise.allSettled(making)) if (value) gl.deleteProgram(value.program);
+      throw error;
+    }
+  }
+
   // The material before stays until the new one can be drawn.
   async setExport(slot, source) {
-    const { gl } = this, old = this.slots[slot];
-    if (source === null) this.slots[slot] = null;
-    else {
-      const units = gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS), shadows = source.manifest.textures.length < units;
-      const [shade, disc] = await Promise.all([
-        makeProgramAside(gl, SURFACE_VERTEX, shadeFragment(source.glsl, shadows)),
-        makeProgramAside(gl, SCREEN_VERTEX, discFragment(source.glsl))]);
-      const { manifest } = source;
-      this.slots[slot] = { manifest, shadows, shade, disc, uploaded: uploadExport(gl, source), means: null };
-      if (old) this.slots[slot].means = old.means;
-    }
+    const { gl } = this, made = source && await this.makeMaterial(source), old = this.slots[slot];
+    this.slots[slot] = made;
+    if (made && old) made.means = old.means;
     if (old) {
       freeExport(gl, old.uploaded);
       for (const { program } of [old.shade, old.disc]) gl.deleteProgram(program);
