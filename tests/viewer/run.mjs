@@ -9,6 +9,7 @@ import { attempt, check, counts } from './harness.mjs';
 import { browser, close, exported, onlyPictures, openViewer, quick, root, run, server, source, work } from './bench.mjs';
 import { inBlocks, likeRender, selfContained } from './codecs.mjs';
 import * as features from './features.mjs';
+import * as inspecting from './inspecting.mjs';
 import { inThree, roundTrip, wholeBlocks } from './textures.mjs';
 
 const material = join(work, 'material.btfd');
@@ -72,8 +73,8 @@ async function test() {
       await layout('halves', 'stacks', true);
     });
   for (const name of quick ? ['fmf'] : [...codecs.filter((codec) => codec !== 'lafortune'), 'halves']) await attempt(`${name}: blocks`, () => inBlocks(name));
-  const { errors, desktop, ...longer } = features;
-  for (const [title, feature] of Object.entries({ errors, desktop, ...(quick ? {} : longer) })) await attempt(title, () => feature('fmf'));
+  const { errors, desktop, ...longer } = features, { inspector, ...always } = inspecting;
+  for (const [title, feature] of Object.entries({ errors, desktop, ...always, ...(quick ? {} : { inspector, ...longer }) })) await attempt(title, () => feature('fmf'));
   if (!quick) await attempt('screenshot', () => screenshot('fmf'));
 }
 

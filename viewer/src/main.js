@@ -5,7 +5,7 @@ import { builtInEnvironment, readHdr } from './environment.js';
 import { cloth, plane, readObj, sphere } from './shapes.js';
 import { aim, LightBall, rolled, watchPointers, zoomed } from './controls.js';
 import { buildPage, NARROW } from './panel.js';
-import { inspect } from './inspector.js';
+import { inspect, inspectNothing } from './inspector.js';
 import { Renderer } from './renderer.js';
 
 const SHAPES = { sphere, plane, cloth };
@@ -22,11 +22,13 @@ function startState() {
 
 async function run() {
   const state = startState(), sources = [null, null], shapes = {};
-  let renderer = null, moving = 0, last = 0, asked = false, hovered = null, mapFile = null;
+  let renderer = null, moving = 0, last = 0, asked = false, mapFile = null;
+  let pointed = null, inspected = null; // places of the canvas: the newest, and the last one on the surface
+  let changed = false; // since it was inspected
   let frozen = new URLSearchParams(location.search).get('frames') === '0';
 
   const ask = () => { if (!asked) { asked = true; requestAnimationFrame(draw); } };
-  const touch = () => { moving = performance.now() + 160; renderer.restart(); ask(); };
+  const touch = () => { moving = performance.now() + 160; changed = true; renderer.restart(); ask(); };
   const change = (values) => {
     Object.assign(state, values);
     page.update();
@@ -148,13 +150,13 @@ async function run() {
     if (!frozen) paint(now);
   }
   function paint(now) {
+    if (emptied) changed = true;
     const isMoving = now < moving, more = renderer.frame(state, isMoving, now - last);
     if (isMoving || more) ask();
     last = now;
     ball.draw();
     if (renderer.slots[0] && renderer.shape) canvas.classList.add('ready');
-    if (state.inspect && hovered && sources[0]) inspect(renderer, page, state, hovered[0], hovered[1]);
-    hovered = isMoving ? hovered : null;
+    if (state.inspect && sources[0]) inspectAgain();
     page.frames.textContent = `${Math.min(renderer.sample, renderer.samplesWanted)} of ${renderer.samplesWanted} samples, ${canvas.width} × ${canvas.height}`;
   }
 
@@ -167,11 +169,18 @@ async function run() {
     aim(light, turned(turned(direction, view.up, dx), view.right, dy));
     change({});
   };
+  // Beside the surface the last place on it is kept, so that a way to the panel does not lose it.
+  function inspectAgain() {
+    if (pointed && inspect(renderer, page, state, ...pointed)) inspected = pointed;
+    else if (changed && inspected && !inspect(renderer, page, state, ...inspected)) inspectNothing(page);
+    pointed = null;
+    changed = false;
+  }
+
   const cycle = (list, value) => list[(list.indexOf(value) + 1) % list.length];
   function point(x, y) {
-    if (!state.inspect) return;
-    hovered = [x, y];
-    ask();
+    pointed = [x, y];
+    if (state.inspect) ask();
   }
   watchPointers(canvas, {
     orbit,
@@ -192,7 +201,7 @@ async function run() {
     const box = page.stage.getBoundingClientRect();
     state.line = clamp((event.clientX - box.left) / box.width, 0, 1);
     place();
-    renderer.dirty = true;
+    changed = renderer.dirty = true;
     ask();
   });
   const STEP = 4;

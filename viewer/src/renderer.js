@@ -364,9 +364,10 @@ export class Renderer {
       gl.readBuffer(gl.COLOR_ATTACHMENT0 + i);
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, values);
       return [...values];
+    gl.uniform1i(uniforms.is_clamped, slot.manifest.wrap === 'clamp' ? 1 : 0);
     };
     const place = read(0), view = read(1).slice(0, 3), toLight = read(2).slice(0, 3);
-    return place[3] > 0 ? { uv: place.slice(0, 2), lod: place[2], view, light: toLight } : null;
+    return place[3] > 0 ? { uv: place.slice(0, 2), lod: place[2], view, light: light ? toLight : [0, 0, 1] } : null;
   }
 
   // A hemisphere of f * cos at a place, by light (the view fixed) or by view (the light fixed), as coded pixels.
