@@ -3,13 +3,11 @@
 import { cpSync, mkdirSync, readdirSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { pathToFileURL } from 'node:url';
-import { execFileSync } from 'node:child_process';
 import { read } from '../../viewer/node_modules/ktx-parse/dist/ktx-parse.esm.js';
 import { check, launch, meanDifference, openPage } from './harness.mjs';
-import { alike, browser, btf, change, close, compare, drag, exported, openViewer, picture, plain, ready, reference, root, SIDE, small, source, work } from './bench.mjs';
+import { alike, browser, change, close, coded, compare, drag, dropPaths, exported, openViewer, picture, plain, ready, reference, root, said, SIDE, small, source, TENT, work } from './bench.mjs';
 
 const linear = (byte) => (byte / 255 <= 0.04045 ? byte / 255 / 12.92 : ((byte / 255 + 0.055) / 1.055) ** 2.4);
-const coded = (value) => { const x = Math.min(Math.max(value, 0), 1); return 255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055); };
 const brightness = (rgb) => rgb.reduce((sum, byte) => sum + byte, 0) / rgb.length;
 const centre = (rgb) => rgb[3 * (SIDE * SIDE / 2 + SIDE / 2)] + rgb[3 * (SIDE * SIDE / 2 + SIDE / 2) + 1];
 const half = (rgb, right) => rgb.filter((_, i) => {
@@ -26,16 +24,6 @@ function blocks(rgb) {
   return sums;
 }
 const surface = (page, name) => page.evaluate((kind) => globalThis.viewer.setSurface(kind), name);
-
-// Files or folders of this machine, dropped as the browser's user does.
-async function dropPaths(page, paths, x = 5, y = 5) {
-  const session = await page.context().newCDPSession(page);
-  const data = { items: [], files: paths, dragOperationsMask: 1 };
-  for (const type of ['dragEnter', 'dragOver', 'drop']) await session.send('Input.dispatchDragEvent', { type, x, y, data });
-}
-
-const TENT = 'v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 0.6\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvt 0.5 0.5\n' +
-  'f 1/1 2/2 5/5\nf 2/2 3/3 5/5\nf 3/3 4/4 5/5\nf 4/4 1/1 5/5\n';
 
 export async function surfaces(name) {
   const page = await openViewer(name);
@@ -92,27 +80,6 @@ export async function lights(name) {
   await close(page, 'lights');
 }
 
-// f * cos at the chosen point by `btf eval` is the colour that the inspector shows, and so are its two pictures elsewhere.
-export async function inspector(name) {
-  const page = await openViewer(name);
-  await change(page, { ...plain, levels: false, exposure: -1 });
-  const seen = await page.evaluate(() => {
-    const { uv, view, light, hex } = globalThis.viewer.inspect(0.45, 0.4), z = Math.sqrt(1 - 0.45 ** 2 - 0.4 ** 2), other = [0.45, -0.4, z];
-    const at = (k, sign) => (1 + (sign * other[k]) / (1 + z) / 1.04) * 0.5 * 192;
-    const discs = [...document.querySelectorAll('.discs canvas')].map((canvas) => [...canvas.getContext('2d').getImageData(Math.floor(at(0, 1)), Math.floor(at(1, -1)), 1, 1).data.slice(0, 3)]);
-    return { uv, view, light, other, colours: [[1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16)), ...discs] };
-  });
-  const queries = [[seen.light, seen.view], [seen.other, seen.view], [seen.light, seen.other]];
-  queries.forEach(([light, view], i) => {
-    const input = `${[...seen.uv, ...light, ...view].join(' ')}\n`;
-    const answer = execFileSync(btf, ['eval', join(work, `${name}.btfz`)], { input }).toString().trim().split(/\s+/).map(Number).slice(-3);
-    const worst = Math.max(...answer.map((f, c) => Math.abs(coded(f * Math.PI * light[2] * 0.5) - seen.colours[i][c])));
-    // a pixel of the disc is 1/92 wide, a tenth of the distance between lights: part of their contrast
-    check(`the inspector ${['names the colour', 'shows it by light', 'shows it by view'][i]} that btf eval says`, worst < 8, `${seen.colours[i]}, off by ${worst.toFixed(1)} of 255`);
-  });
-  await close(page, 'inspector');
-}
-
 export async function comparison(name) {
   const page = await openViewer(name);
   await change(page, plain);
@@ -153,12 +120,12 @@ export async function errors(name) {
   rmSync(join(work, 'incomplete', lost));
   mkdirSync(join(work, 'none'), { recursive: true });
   writeFileSync(join(work, 'none/readme.txt'), 'nothing');
-  const page = await openViewer(''), said = () => page.evaluate(() => [...document.querySelectorAll('.message.shown')].map((m) => m.firstChild.textContent).join('|'));
+  const page = await openViewer('');
   const expect = async (title, what, open) => {
     await page.evaluate(() => document.querySelector('.message button')?.click());
     await open();
     await page.waitForFunction(() => document.querySelector('.message.shown'));
-    const message = await said();
+    const message = await said(page);
     check(`a message for ${title}`, what.test(message) && !/undefined|TypeError|property/.test(message), message);
   };
   const url = (folder) => async () => {
@@ -173,7 +140,7 @@ export async function errors(name) {
   await expect('a dropped folder without a texture', new RegExp(`not complete: ${lost} is missing among`), () => dropPaths(page, [join(work, 'incomplete')]));
   await dropPaths(page, [join(work, name)]);
   await page.waitForFunction(() => document.querySelector('.welcome').hidden);
-  check('a folder that is dropped opens, and the message is gone', (await said()) === '' && centre(await picture(page, 4)) > 20);
+  check('a folder that is dropped opens, and the message is gone', (await said(page)) === '' && centre(await picture(page, 4)) > 20);
   const before = await picture(page, 4);
   await expect('a future version that is dropped', /version 2/, () => dropPaths(page, [join(work, 'future')]));
   check('after an error the material stays', meanDifference(await picture(page, 4), before) === 0);

@@ -7,11 +7,11 @@ const FORMATS = { // by VkFormat: internal format, format, type
   76: ['R16F', 'RED', 'HALF_FLOAT'], 83: ['RG16F', 'RG', 'HALF_FLOAT'], 97: ['RGBA16F', 'RGBA', 'HALF_FLOAT'],
   100: ['R32F', 'RED', 'FLOAT'], 103: ['RG32F', 'RG', 'FLOAT'], 109: ['RGBA32F', 'RGBA', 'FLOAT'],
 };
-const BLOCKS = { // compressed, by VkFormat: names of EXT_texture_compression_bptc
+const BLOCKS = { // compressed, by VkFormat: names of BPTC
   143: 'COMPRESSED_RGB_BPTC_UNSIGNED_FLOAT_EXT', 144: 'COMPRESSED_RGB_BPTC_SIGNED_FLOAT_EXT',
   145: 'COMPRESSED_RGBA_BPTC_UNORM_EXT', 146: 'COMPRESSED_SRGB_ALPHA_BPTC_UNORM_EXT',
 };
-const FLOATS = [100, 103, 109];
+const BPTC = 'EXT_texture_compression_bptc', FLOATS = [100, 103, 109];
 
 function typed(bytes, type) {
   if (type === 'UNSIGNED_BYTE') return bytes;
@@ -21,18 +21,34 @@ function typed(bytes, type) {
     : new Uint16Array(aligned.buffer, aligned.byteOffset, bytes.length / 2);
 }
 
-function uploadTexture(gl, texture) {
+// With a limit that is exceeded goes the option of btf export that keeps within it.
+function checkSizes(gl, { entry, width, height, depth, layers }, isArray, isVolume) {
+  const side = isVolume ? ['MAX_3D_TEXTURE_SIZE', '--max-3d'] : ['MAX_TEXTURE_SIZE', '--max-size'];
+  const sizes = [[width, 'texels wide', ...side], [height, 'texels high', ...side]];
+  if (isVolume) sizes.push([depth, 'texels deep', ...side]);
+  if (isArray) sizes.push([layers, 'layers', 'MAX_ARRAY_TEXTURE_LAYERS', '--max-layers']);
+  for (const [size, what, limit, option] of sizes) {
+    const most = gl.getParameter(gl[limit]);
+    if (size > most) throw new Error(`${entry.file}: ${size} ${what}, this browser takes ${most};\nexport with btf export ${option} ${most}`);
+  }
+}
+
+// Adds the texture to `made` as soon as there is one, for whoever frees it after a failure.
+function uploadTexture(gl, texture, made) {
   const { entry, format, width, height, depth, layers, levels } = texture;
-  const blocks = BLOCKS[format], bptc = blocks && gl.getExtension('EXT_texture_compression_bptc');
-  if (!FORMATS[format] && !bptc) throw new Error(`${entry.file}: texel format ${format} is not one that this browser takes`);
+  const blocks = BLOCKS[format], bptc = blocks && gl.getExtension(BPTC);
+  if (blocks && !bptc) throw new Error(`${entry.file}: texel format ${format} needs ${BPTC}, which this browser lacks; btf export without --compress will do`);
+  if (!blocks && !FORMATS[format]) throw new Error(`${entry.file}: texel format ${format} is not one that this viewer reads`);
   const linear = entry.min_filter === 'linear';
   if (linear && FLOATS.includes(format) && !gl.getExtension('OES_texture_float_linear'))
     throw new Error(`${entry.file}: this browser does not filter float textures`);
   const target = { '2d': gl.TEXTURE_2D, '2d_array': gl.TEXTURE_2D_ARRAY, '3d': gl.TEXTURE_3D }[entry.dimension];
   if (!target) throw new Error(`${entry.file}: dimension ${entry.dimension} is not read`);
+  checkSizes(gl, texture, target === gl.TEXTURE_2D_ARRAY, target === gl.TEXTURE_3D);
   const object = gl.createTexture(), flat = target === gl.TEXTURE_2D;
   const [internal, pixels, type] = FORMATS[format] || [];
   const storage = bptc ? bptc[blocks] : gl[internal];
+  made.push({ name: entry.name, object, target });
   gl.bindTexture(target, object);
   if (flat) gl.texStorage2D(target, levels.length, storage, width, height);
   else gl.texStorage3D(target, levels.length, storage, width, height, target === gl.TEXTURE_3D ? depth : layers);
@@ -50,7 +66,6 @@ function uploadTexture(gl, texture) {
   set('TEXTURE_MIN_FILTER', levels.length > 1 ? `${within}_MIPMAP_${within}` : within);
   set('TEXTURE_MAG_FILTER', entry.mag_filter === 'linear' ? 'LINEAR' : 'NEAREST');
   ['S', 'T', 'R'].forEach((axis, i) => set(`TEXTURE_WRAP_${axis}`, entry.wrap[i] === 'repeat' ? 'REPEAT' : 'CLAMP_TO_EDGE'));
-  return { name: entry.name, object, target };
 }
 
 // The block's bytes by std140: elements of an array are 16 bytes apart.
@@ -81,11 +96,13 @@ function start(gl, vertex, fragment) {
 }
 
 function finish(gl, { program, shaders }) {
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
-    const log = shaders.map((s) => gl.getShaderInfoLog(s)).join('\n') || gl.getProgramInfoLog(program);
+  const linked = gl.getProgramParameter(program, gl.LINK_STATUS);
+  const log = linked ? '' : shaders.map((s) => gl.getShaderInfoLog(s)).join('\n') || gl.getProgramInfoLog(program);
+  shaders.forEach((shader) => gl.deleteShader(shader));
+  if (!linked) {
+    gl.deleteProgram(program);
     throw new Error(`the shader does not compile: ${log}`);
   }
-  shaders.forEach((shader) => gl.deleteShader(shader));
   const uniforms = {}, count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS);
   for (let i = 0; i < count; i++) {
     const { name } = gl.getActiveUniform(program, i);
@@ -106,14 +123,20 @@ export async function makeProgramAside(gl, vertex, fragment) {
 
 export function uploadExport(gl, source) {
   const { manifest } = source, most = gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS);
-  if (manifest.textures.length > most) throw new Error(`the export has ${manifest.textures.length} textures; this browser takes ${most}`);
-  const textures = source.textures.map((texture) => uploadTexture(gl, texture));
-  const code = gl.getError();
-  if (code !== gl.NO_ERROR) throw new Error(`the textures could not be uploaded (WebGL error ${code})`);
-  const block = gl.createBuffer();
-  gl.bindBuffer(gl.UNIFORM_BUFFER, block);
-  gl.bufferData(gl.UNIFORM_BUFFER, uniformBlock(manifest), gl.STATIC_DRAW);
-  return { textures, block, blockName: (manifest.uniform_block || {}).name };
+  if (manifest.textures.length > most) throw new Error(`the export has ${manifest.textures.length} textures, this browser takes ${most};\nexport with btf export --max-textures ${most}`);
+  while (gl.getError() !== gl.NO_ERROR); // of what came before
+  const uploaded = { textures: [], block: gl.createBuffer(), blockName: (manifest.uniform_block || {}).name };
+  try {
+    source.textures.forEach((texture) => uploadTexture(gl, texture, uploaded.textures));
+    const code = gl.getError();
+    if (code !== gl.NO_ERROR) throw new Error(`the textures could not be uploaded (WebGL error ${code})`);
+    gl.bindBuffer(gl.UNIFORM_BUFFER, uploaded.block);
+    gl.bufferData(gl.UNIFORM_BUFFER, uniformBlock(manifest), gl.STATIC_DRAW);
+  } catch (error) {
+    freeExport(gl, uploaded);
+    throw error;
+  }
+  return uploaded;
 }
 
 export function bindExport(gl, uploaded, { program, uniforms }) {
