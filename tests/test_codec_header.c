@@ -73,20 +73,37 @@ static void listen(void *user, int32_t level, btf_status code, const char *messa
   snprintf(h->text, sizeof h->text, "%s", message);
 }
 
-/* Twice the squared error of the target is 10 log10 2 = 3.01 dB less, and an rmse root 2 times as large. */
-static void missed_targets_are_told_as_asked(void **state) {
+static btf_context *context_that_tells(heard *h) {
   btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
   btf_context *ctx;
-  heard h = {0};
-  (void)state;
   desc.log = listen;
-  desc.log_user = &h;
+  desc.log_user = h;
   assert_ok(btf_context_create(&desc, &ctx));
+  return ctx;
+}
+
+/* Twice the squared error of the target is 10 log10 2 = 3.01 dB less, and an rmse root 2 times as large. */
+static void missed_targets_are_told_as_asked(void **state) {
+  heard h = {0};
+  btf_context *ctx = context_that_tells(&h);
+  (void)state;
   btf_warn_missed(btfi_host(), ctx, "some", 7, "terms", 0.32, 0.16, 4.0, 40.0);
   assert_int_equal(h.level, BTF_LOG_WARNING);
   assert_string_equal(h.text, "some: 7 terms reach a psnr of 36.99 dB; 40 dB was asked for");
   btf_warn_missed(btfi_host(), ctx, "some", 7, "terms", 0.32, 0.16, 4.0, 0.0);
   assert_string_equal(h.text, "some: 7 terms reach an rmse of 0.282843; 0.2 was asked for");
+  btf_context_release(ctx);
+}
+
+static void a_model_far_from_the_data_is_told(void **state) {
+  heard h = {0};
+  btf_context *ctx = context_that_tells(&h);
+  (void)state;
+  btf_warn_unfit(btfi_host(), ctx, "some", 0.25, 0.25, "another would do");
+  assert_string_equal(h.text, "");
+  btf_warn_unfit(btfi_host(), ctx, "some", 0.5678, 0.25, "another would do");
+  assert_int_equal(h.level, BTF_LOG_WARNING);
+  assert_string_equal(h.text, "some: a relative error of 0.568: another would do");
   btf_context_release(ctx);
 }
 
@@ -219,9 +236,13 @@ static void chunks_have_their_size(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(fields_are_little_endian),         cmocka_unit_test(random_numbers),
-      cmocka_unit_test(missed_targets_are_told_as_asked), cmocka_unit_test(equal_directions_are_located_once),
-      cmocka_unit_test(the_peak_is_the_percentile),       cmocka_unit_test(statuses_and_parameters),
+      cmocka_unit_test(fields_are_little_endian),
+      cmocka_unit_test(random_numbers),
+      cmocka_unit_test(missed_targets_are_told_as_asked),
+      cmocka_unit_test(a_model_far_from_the_data_is_told),
+      cmocka_unit_test(equal_directions_are_located_once),
+      cmocka_unit_test(the_peak_is_the_percentile),
+      cmocka_unit_test(statuses_and_parameters),
       cmocka_unit_test(chunks_have_their_size),
   };
   return btf_run("codec_header", tests);

@@ -58,6 +58,10 @@ uint32_t btfi_cmf_value_bytes(uint32_t storage);
 void btfi_cmf_store(uint32_t storage, bool has_sign, const float *values, uint64_t n, unsigned char *dst);
 /* The stored values, as evaluation sees them. */
 void btfi_cmf_restore(uint32_t storage, bool has_sign, const unsigned char *src, uint64_t n, float *values);
+/* What byte 255 of a scale should stand for: the largest of `texels` values, or less if cutting the few above
+ * it and storing the others more finely loses less of the energy of the texels. */
+float btfi_cmf_full_byte(uint64_t texels, const float *scale, uint32_t stride, const double *energy,
+                         uint32_t energy_stride);
 /* u8 b stands for b * gain + offset. */
 void btfi_cmf_decoding(uint32_t storage, bool has_sign, float *gain, float *offset);
 

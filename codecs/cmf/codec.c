@@ -66,11 +66,16 @@ BTF_PARAM(samples, BTF_PARAM_INT, "texels that codebooks are made from, 0 = all"
 BTF_PARAM(rotate, BTF_PARAM_BOOL, "turn each ABRDF to its direction of maximal anisotropy first", NULL,
           "false", NULL, 0, 1);
 BTF_PARAM(levels, BTF_PARAM_INT, "levels of detail, 0 = all", NULL, "0", NULL, 0, CMF_MAX_LEVELS);
+BTF_PARAM(
+    advise, BTF_PARAM_FLOAT,
+    "relative error, before storage and without psnr or rmse, above which a warning says what suits the "
+    "material better",
+    NULL, "0.4", NULL, 0, INFINITY);
 
 static const btf_param_desc *const params[] = {
     &factors,      &chain,     &method,  &residue, &sweeps,    &average, &symmetric, &grid, &resolution,
     &map,          &edge,      &epsilon, &lambda,  &log_floor, &storage, &codebook,  &psnr, &rmse,
-    &max_codebook, &max_terms, &cluster, &samples, &rotate,    &levels,  NULL};
+    &max_codebook, &max_terms, &cluster, &samples, &rotate,    &levels,  &advise,    NULL};
 
 static uint32_t level_count(const void *state) {
   return ((const btfi_cmf_state *)state)->levels;

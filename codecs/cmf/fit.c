@@ -208,21 +208,24 @@ static btf_status fail_for_room(btfi_cmf_fitting *f, uint64_t bytes) {
 /* What make_room takes beside the store, and its parts. */
 typedef struct room {
   uint64_t scales; /* values */
-  uint64_t rest;   /* what reading, or reading and clustering, need at least */
-  uint64_t all;    /* bytes */
+  uint64_t energies;
+  uint64_t rest; /* what reading, or reading and clustering, need at least */
+  uint64_t all;  /* bytes */
 } room;
 
 static room plan_room(btfi_cmf_fitting *f) {
   const uint64_t texels = f->level_first[f->levels];
   const uint64_t abrdf = ((uint64_t)f->pairs * f->channels * sizeof(float) + 63) / 64 * 64;
   const uint64_t maps = ((uint64_t)f->factors * f->map_values * sizeof(float) + 63) / 64 * 64;
-  room r = {.scales = texels * f->scales * f->channels};
+  room r = {.scales = texels * f->scales * f->channels,
+            .energies = f->storage == CMF_U8 ? texels * f->channels : 0};
   f->threads = f->host->thread_count(f->ctx);
   f->thread_bytes = f->geometry->scratch_bytes + maps + (f->rotate ? 2 * abrdf : 0);
   f->store_kind = f->storage == CMF_U8 ? CMF_U8 : CMF_F16;
   f->record_bytes = (uint64_t)f->factors * f->map_values * btfi_cmf_value_bytes(f->store_kind);
   const uint64_t arrays = f->threads * (f->thread_bytes + sizeof *f->report) +
-                          r.scales * sizeof *f->scale * (f->has_target ? 2 : 1) + (f->rotate ? texels : 0);
+                          r.scales * sizeof *f->scale * (f->has_target ? 2 : 1) +
+                          r.energies * sizeof *f->energy + (f->rotate ? texels : 0);
   r.rest = f->entries > 0 ? bytes_with(f, least_samples(f)) : btfi_cmf_visit_bytes(f);
   uint64_t most = r.rest;
   if (f->settings.method == CMF_HOMOMORPHIC) {
@@ -246,6 +249,10 @@ btf_status btfi_cmf_make_room(btfi_cmf_fitting *f) {
   f->scale = take(f, r.scales, sizeof *f->scale);
   if (f->scratch == NULL || f->report == NULL || f->scale == NULL) return BTF_E_NOMEM;
   memset(f->report, 0, f->threads * sizeof *f->report);
+  if (r.energies > 0) {
+    f->energy = take(f, r.energies, sizeof *f->energy);
+    if (f->energy == NULL) return BTF_E_NOMEM;
+  }
   if (f->has_target) {
     f->kept_scale = take(f, r.scales, sizeof *f->kept_scale);
     if (f->kept_scale == NULL) return BTF_E_NOMEM;
@@ -281,13 +288,19 @@ static void log_report(const btfi_cmf_fitting *f) {
                f->factors, sqrt(sum.squared_error / samples), sum.absolute_error / samples,
                sum.relative_error / fmax((double)sum.positive, 1.0), f->geometry->invalid,
                (double)sum.masked / fmax((double)sum.divided, 1.0));
+  if (!f->has_target && sum.squared_energy > 0.0)
+    btf_warn_unfit(
+        f->host, f->ctx, "cmf", sqrt(sum.squared_error / sum.squared_energy), f->advise,
+        "a product of maps cannot follow noise, shadows and parallax; more terms (chain=h,io:3, or psnr, "
+        "which picks them) or another factorisation (fmf, lpca, pvpca) suit this material better");
 }
 
 void btfi_cmf_unprepare(btfi_cmf_fitting *f) {
   btfi_cmf_geometry_free(f->host, f->ctx, f->geometry);
   btfi_cmf_hf_free(f->host, f->ctx, f->hf);
   btfi_cmf_rotation_free(f->host, f->ctx, &f->rotation);
-  void *const arrays[] = {f->scratch, f->report, f->scale, f->kept_scale, f->angle, f->store, f->collected};
+  void *const arrays[] = {f->scratch,    f->report, f->scale, f->energy,
+                          f->kept_scale, f->angle,  f->store, f->collected};
   for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++) f->host->free(f->ctx, arrays[i]);
   f->geometry = NULL;
   f->hf = NULL;
@@ -295,6 +308,7 @@ void btfi_cmf_unprepare(btfi_cmf_fitting *f) {
   f->scratch = f->angle = f->store = NULL;
   f->report = NULL;
   f->scale = f->kept_scale = f->collected = NULL;
+  f->energy = NULL;
   f->has_records = false;
   f->used = 0;
 }

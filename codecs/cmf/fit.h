@@ -54,6 +54,7 @@ typedef struct btfi_cmf_fitting {
   double target;      /* squared error of the finest level */
   double target_psnr; /* that it stands for, 0 if it is an rmse */
   double lambda, floor;
+  double advise; /* relative error above which the log warns */
   uint32_t width, height, channels, lights, views, pairs;
   uint32_t levels;
   uint64_t level_first[CMF_MAX_LEVELS + 1]; /* texels of finer levels */
@@ -69,8 +70,9 @@ typedef struct btfi_cmf_fitting {
   unsigned char *scratch; /* threads x thread_bytes */
   uint64_t thread_bytes;
   btfi_cmf_report
-      *report;  /* threads: what the finest level's factors lose, as of the last time they were made */
-  float *scale; /* texels of all levels x scales x channels */
+      *report;    /* threads: what the finest level's factors lose, as of the last time they were made */
+  float *scale;   /* texels of all levels x scales x channels */
+  double *energy; /* squared samples, of texels of all levels x channels; NULL unless scales become bytes */
   unsigned char *angle; /* texels of all levels, or NULL */
 
   unsigned char *table[CMF_MAX_LEVELS][CMF_MAX_FACTORS]; /* payload without codebooks */

@@ -6,6 +6,8 @@
 
 #include "cmf.h"
 
+enum { CMF_FULL_STEPS = 40 /* of a quarter of an octave: to 1 / 1024 of the largest scale */ };
+
 void btfi_cmf_put_head(const btfi_cmf_head *head, unsigned char bytes[CMF_HEAD_BYTES]) {
   const uint32_t words[] = {head->storage, head->edge, head->levels, head->flags, head->stages};
   for (size_t i = 0; i < 5; i++) btf_put_u32(bytes + 4 * i, words[i]);
@@ -63,4 +65,35 @@ void btfi_cmf_restore(uint32_t storage, bool has_sign, const unsigned char *src,
       memcpy(&values[i], src + 4 * i, sizeof *values);
     }
   }
+}
+
+/* The energy that scales lose as bytes of which 255 stands for `full`. */
+static double byte_loss(uint64_t texels, const float *scale, uint32_t stride, const double *energy,
+                        uint32_t energy_stride, float full) {
+  double loss = 0.0;
+  for (uint64_t t = 0; t < texels; t++) {
+    const float s = scale[t * stride];
+    if (!(s > 0.0f)) continue;
+    const double byte = (double)rintf(fminf(s / full, 1.0f) * 255.0f);
+    const double lost = 1.0 - byte / 255.0 * (double)full / (double)s;
+    loss += energy[t * energy_stride] * lost * lost;
+  }
+  return loss;
+}
+
+float btfi_cmf_full_byte(uint64_t texels, const float *scale, uint32_t stride, const double *energy,
+                         uint32_t energy_stride) {
+  float largest = 0.0f, best;
+  for (uint64_t t = 0; t < texels; t++) largest = fmaxf(largest, scale[t * stride]);
+  best = largest;
+  if (!(largest > 0.0f)) return best;
+  double least = byte_loss(texels, scale, stride, energy, energy_stride, largest);
+  for (int step = 1; step <= CMF_FULL_STEPS; step++) {
+    const float full = largest * exp2f(-0.25f * (float)step);
+    const double loss = full > 0.0f ? byte_loss(texels, scale, stride, energy, energy_stride, full) : least;
+    if (!(loss < least)) continue;
+    least = loss;
+    best = full;
+  }
+  return best;
 }

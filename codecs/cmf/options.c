@@ -62,6 +62,7 @@ btf_status btfi_cmf_read_options(btfi_cmf_fitting *f, const btf_options *options
   f->rotate = host->option(options, "rotate") != 0.0;
   f->lambda = host->option(options, "lambda");
   f->floor = host->option(options, "log_floor");
+  f->advise = host->option(options, "advise");
   f->levels = (uint32_t)host->option(options, "levels");
   if (f->wanted_samples == 0) f->wanted_samples = UINT32_MAX;
   f->has_target = host->option(options, "psnr") > 0.0 || host->option(options, "rmse") > 0.0;

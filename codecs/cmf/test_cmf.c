@@ -66,6 +66,47 @@ static void test_sizes(void **unused) {
 
 /* ---- FAC09 ---- */
 
+enum { SCALES = 400 };
+
+/* The energy that scales lose as bytes of which 255 stands for `full`, by the functions that store and
+ * restore. */
+static double energy_lost(const float scale[SCALES], const double energy[SCALES], float full) {
+  double lost = 0.0;
+  for (int t = 0; t < SCALES; t++) {
+    const float share = fminf(scale[t] / full, 1.0f);
+    unsigned char byte;
+    float back;
+    btfi_cmf_store(CMF_U8, false, &share, 1, &byte);
+    btfi_cmf_restore(CMF_U8, false, &byte, 1, &back);
+    const double d = 1.0 - (double)(back * full) / (double)scale[t];
+    lost += energy[t] * d * d;
+  }
+  return lost;
+}
+
+/* One scale that is 400 times the others would leave them the bytes 1 and 2. Cut to 8 or less it loses its
+ * energy of 1 at most, and the others, which are 1 to 2, half a step of 8 / 255 at most: 399 (4 / 255)^2 =
+ * 0.099. If it has the energy of a million others nothing is cut, and neither are scales that are bytes. */
+static void test_scales_as_bytes(void **unused) {
+  (void)unused;
+  float scale[SCALES], bytes[SCALES];
+  double energy[SCALES];
+  for (int t = 0; t < SCALES; t++) {
+    scale[t] = 1.0f + (float)t / SCALES;
+    bytes[t] = (float)(1 + t % 255);
+    energy[t] = 1.0;
+  }
+  scale[7] = 400.0f;
+  const float full = btfi_cmf_full_byte(SCALES, scale, 1, energy, 1);
+  assert_true(energy_lost(scale, energy, full) <= 1.0 + 0.099);
+  assert_true(energy_lost(scale, energy, 400.0f) > 10.0);
+  energy[7] = 1e6;
+  assert_true(btfi_cmf_full_byte(SCALES, scale, 1, energy, 1) == 400.0f);
+  energy[7] = 1.0;
+  assert_true(btfi_cmf_full_byte(SCALES, bytes, 1, energy, 1) == 255.0f);
+  assert_true(btfi_cmf_full_byte(0, scale, 1, energy, 1) == 0.0f);
+}
+
 static void check_normalisation(uint32_t map, const char *const models[3]) {
   btf_context *ctx = test_context(&memory);
   /* Azimuths of 45 degrees are on the diagonals of cube maps. */
@@ -356,6 +397,40 @@ static void test_reported_error(void **unused) {
   btf_context_release(ctx);
 }
 
+static void count_advice(void *user, int32_t level, btf_status code, const char *message) {
+  (void)code;
+  *(int *)user += level == BTF_LOG_WARNING && strstr(message, "cmf: a relative error of ") == message;
+}
+
+/* Above `advise` and without a target a warning names what suits the material better. The error is, to the
+ * digits of sums of floats, that of decoding every sample. */
+static void test_advice(void **unused) {
+  (void)unused;
+  btf_context_desc desc = BTF_CONTEXT_DESC_INIT;
+  btf_context *ctx;
+  int warnings = 0;
+  char settings[160];
+  desc.log = count_advice;
+  desc.log_user = &warnings;
+  assert_ok(btf_context_create(&desc, &ctx));
+  material m = material_create(ctx, BUMPS, "grid:5x3", 6, 5, 3);
+  const char *const exact = "codebook=0 storage=f32 resolution=8 edge=16";
+  btf_model *model = cmf_fit(ctx, &m, exact);
+  const double error = relative_error(model, &m);
+  btf_model_release(model);
+  warnings = 0;
+  for (int above = 0; above < 2; above++) {
+    snprintf(settings, sizeof settings, "%s advise=%.9g", exact, error * (above ? 1.0 - 1e-4 : 1.0 + 1e-4));
+    btf_model_release(cmf_fit(ctx, &m, settings));
+    assert_int_equal(warnings, above);
+  }
+  snprintf(settings, sizeof settings, "%s advise=0 psnr=1", exact + strlen("codebook=0 "));
+  btf_model_release(cmf_fit(ctx, &m, settings));
+  assert_int_equal(warnings, 1);
+  material_release(&m);
+  btf_context_release(ctx);
+}
+
 /* Noise down to 0 and next to no smoothness leave the texels between the samples wild: beyond what S can
  * hold.
  */
@@ -405,6 +480,7 @@ int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_sizes),
       cmocka_unit_test(test_normalisation),
+      cmocka_unit_test(test_scales_as_bytes),
       cmocka_unit_test(test_codebooks),
       cmocka_unit_test(test_rotation_shrinks_codebooks),
       cmocka_unit_test(test_levels_are_refits),
@@ -412,6 +488,7 @@ int main(void) {
       cmocka_unit_test(test_budgets),
       cmocka_unit_test(test_options_without_effect),
       cmocka_unit_test(test_reported_error),
+      cmocka_unit_test(test_advice),
       cmocka_unit_test(test_wild_factors),
       cmocka_unit_test(test_failing_allocations),
   };

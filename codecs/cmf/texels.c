@@ -80,8 +80,17 @@ static void normalise_texel(const btfi_cmf_fitting *f, float *maps, float *scale
   }
 }
 
-/* Takes the maps of one texel, which are normalised in place. */
-static void take_maps(btfi_cmf_fitting *f, uint32_t level, uint64_t texel, uint64_t place, float *maps) {
+/* Takes the maps of one texel, which are normalised in place, and the energy of what they stand for. */
+static void take_maps(btfi_cmf_fitting *f, uint32_t level, uint64_t texel, uint64_t place, const float *abrdf,
+                      float *maps) {
+  for (uint32_t c = 0; c < f->channels && f->energy != NULL; c++) {
+    double *energy = &f->energy[(f->level_first[level] + texel) * f->channels + c];
+    *energy = 0.0;
+    for (uint32_t p = 0; p < f->pairs; p++) {
+      const double value = (double)abrdf[(size_t)p * f->channels + c];
+      *energy += value * value;
+    }
+  }
   normalise_texel(f, maps, f->scale + (f->level_first[level] + texel) * f->scales * f->channels);
   const uint64_t bytes =
       (uint64_t)f->map_values * btfi_cmf_value_bytes(f->to_store ? f->store_kind : f->storage);
@@ -129,7 +138,7 @@ static void visit_texel(void *user, uint32_t level, uint32_t x, uint32_t y, cons
   const float *turned = turn(f, level, texel, abrdf, p.half_way, p.turned);
   btfi_cmf_report unused = {0};
   btfi_cmf_factor_abrdf(f->geometry, f->channels, turned, p.factor, p.maps, report_of(v, thread, &unused));
-  take_maps(f, level, texel, place, p.maps);
+  take_maps(f, level, texel, place, turned, p.maps);
 }
 
 /* ---- the homomorphic method: ABRDFs are collected and solved for together ---- */
@@ -146,10 +155,10 @@ static void take_solved(void *job, uint32_t index, uint32_t thread) {
   btfi_cmf_fitting *f = s->v->f;
   const uint64_t place = s->first + index, texel = s->texel[place];
   float *maps = s->maps + (size_t)index * f->factors * f->map_values;
+  const float *abrdf = f->collected + place * f->pairs * f->channels;
   if (s->v->reports)
-    btfi_cmf_measure(f->geometry, f->channels, f->collected + place * f->pairs * f->channels,
-                     parts_of(f, thread).factor, maps, &f->report[thread]);
-  take_maps(f, s->v->level, texel, s->v->first + place, maps);
+    btfi_cmf_measure(f->geometry, f->channels, abrdf, parts_of(f, thread).factor, maps, &f->report[thread]);
+  take_maps(f, s->v->level, texel, s->v->first + place, abrdf, maps);
 }
 
 static btf_status solve_collected(visit *v, const uint64_t *texel, float *maps, double from, double to) {

@@ -303,6 +303,8 @@ static btf_status write_scales(btfi_cmf_fitting *f) {
           "cmf: the largest values of the factors multiply to more than %g; a larger lambda or "
           "log_floor, or smaller samples, would do",
           (double)CMF_LARGEST_SCALE);
+  for (uint32_t i = 0; i < f->channels && f->energy != NULL; i++)
+    most[i] = btfi_cmf_full_byte(f->level_first[f->levels], f->scale + i, count, f->energy + i, f->channels);
   BTF_TRY(f->host->reserve(f->payload, CMF_TAG_GLOBAL, 0, 0, 4 * (uint64_t)count, &chunk));
   global = chunk;
   for (uint32_t i = 0; i < count; i++) btf_put_f32(global + 4 * (size_t)i, most[i]);

@@ -261,12 +261,10 @@ static void report(const fitting *f) {
   const double relative = f->head.energy > 0.0 ? sqrt(f->head.squared_error / f->head.energy) : 0.0;
   f->host->log(f->ctx, BTF_LOG_INFO, "lafortune: %u lobes, rmse %.6g, relative error %.6g", f->head.lobes,
                sqrt(f->head.squared_error / sample_count(f)), relative);
-  if (relative > f->advise)
-    f->host->log(
-        f->ctx, BTF_LOG_WARNING,
-        "lafortune: a relative error of %.3g: lobes cannot follow shadows and parallax of a deep relief; a "
-        "factorisation (fmf, lpca, pvpca) suits this material better",
-        relative);
+  btf_warn_unfit(
+      f->host, f->ctx, "lafortune", relative, f->advise,
+      "lobes cannot follow shadows and parallax of a deep relief; a factorisation (fmf, lpca, pvpca) "
+      "suits this material better");
 }
 
 static btf_status fit_all(fitting *f, const btf_options *options) {

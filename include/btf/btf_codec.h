@@ -157,6 +157,14 @@ static inline void btf_warn_missed(const btf_host *host, btf_context *ctx, const
               counted, sqrt(error / samples), sqrt(target / samples));
 }
 
+/** Warns that a model is far from the data: `relative` is the root of the squared error over the squared
+ * data. The line is "CODEC: a relative error of 0.5: ADVICE". Nothing is said up to `most`. */
+static inline void btf_warn_unfit(const btf_host *host, btf_context *ctx, const char *codec, double relative,
+                                  double most, const char *advice) {
+  if (relative > most)
+    host->log(ctx, BTF_LOG_WARNING, "%s: a relative error of %.3g: %s", codec, relative, advice);
+}
+
 /* ---- random numbers (splitmix64): the same seed gives the same choices everywhere ---- */
 
 static inline uint64_t btf_random_u64(uint64_t *state) {

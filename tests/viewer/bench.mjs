@@ -20,11 +20,15 @@ export const plain = { tone: 'clip', background: [0.18, 0.18, 0.18] };
 export const { server, root } = await serve({ viewer: join(source, 'viewer'), tests: join(source, 'tests/viewer'),
   modules: join(source, 'viewer/node_modules'), models: work });
 export const browser = await launch();
+export const TENT = 'v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 0.6\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvt 0.5 0.5\n' +
+  'f 1/1 2/2 5/5\nf 2/2 3/3 5/5\nf 3/3 4/4 5/5\nf 4/4 1/1 5/5\n';
+export const coded = (value) => { const x = Math.min(Math.max(value, 0), 1); return 255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055); };
 
 export const run = (...args) => execFileSync(btf, args, { stdio: ['ignore', 'pipe', 'inherit'] }).toString();
 export const exported = (name) => `${root}/models/${name}`;
 export const ready = (page) => page.waitForFunction(() => globalThis.viewer && globalThis.viewer.ready);
 export const change = (page, values) => page.evaluate((v) => globalThis.viewer.change(v), values);
+export const said = (page) => page.evaluate(() => [...document.querySelectorAll('.message.shown')].map((m) => m.firstChild.textContent).join('|'));
 export const picture = async (page, samples = SAMPLES) => pixels(page, await page.evaluate((n) => globalThis.viewer.picture(n), samples));
 
 // A page of the viewer with an export; frames are drawn on demand unless `query` says otherwise.
@@ -59,6 +63,12 @@ export async function compare(page, title, name, ...args) {
   const samples = args.includes('--spp') ? Number(args[args.indexOf('--spp') + 1]) : SAMPLES, mine = await picture(page, samples);
   alike(title, mine, await reference(page, name, ...args));
   return mine;
+}
+// Files or folders of this machine, dropped as the browser's user does.
+export async function dropPaths(page, paths, x = 5, y = 5) {
+  const session = await page.context().newCDPSession(page);
+  const data = { items: [], files: paths, dragOperationsMask: 1 };
+  for (const type of ['dragEnter', 'dragOver', 'drop']) await session.send('Input.dispatchDragEvent', { type, x, y, data });
 }
 export async function drag(page, from, to, modifier) {
   if (modifier) await page.keyboard.down(modifier);

@@ -2,13 +2,12 @@
 // What the viewer can do beside the sphere under one light: each with one codec's export.
 import { cpSync, mkdirSync, readdirSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
-import { execFileSync } from 'node:child_process';
+import { pathToFileURL } from 'node:url';
 import { read } from '../../viewer/node_modules/ktx-parse/dist/ktx-parse.esm.js';
 import { check, launch, meanDifference, openPage } from './harness.mjs';
-import { alike, browser, btf, change, close, compare, drag, exported, openViewer, picture, plain, reference, root, SIDE, small, work } from './bench.mjs';
+import { alike, browser, change, close, coded, compare, drag, dropPaths, exported, openViewer, picture, plain, ready, reference, root, said, SIDE, small, source, TENT, work } from './bench.mjs';
 
 const linear = (byte) => (byte / 255 <= 0.04045 ? byte / 255 / 12.92 : ((byte / 255 + 0.055) / 1.055) ** 2.4);
-const coded = (value) => { const x = Math.min(Math.max(value, 0), 1); return 255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055); };
 const brightness = (rgb) => rgb.reduce((sum, byte) => sum + byte, 0) / rgb.length;
 const centre = (rgb) => rgb[3 * (SIDE * SIDE / 2 + SIDE / 2)] + rgb[3 * (SIDE * SIDE / 2 + SIDE / 2) + 1];
 const half = (rgb, right) => rgb.filter((_, i) => {
@@ -25,16 +24,6 @@ function blocks(rgb) {
   return sums;
 }
 const surface = (page, name) => page.evaluate((kind) => globalThis.viewer.setSurface(kind), name);
-
-// Files or folders of this machine, dropped as the browser's user does.
-async function dropPaths(page, paths, x = 5, y = 5) {
-  const session = await page.context().newCDPSession(page);
-  const data = { items: [], files: paths, dragOperationsMask: 1 };
-  for (const type of ['dragEnter', 'dragOver', 'drop']) await session.send('Input.dispatchDragEvent', { type, x, y, data });
-}
-
-const TENT = 'v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv 0 0 0.6\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvt 0.5 0.5\n' +
-  'f 1/1 2/2 5/5\nf 2/2 3/3 5/5\nf 3/3 4/4 5/5\nf 4/4 1/1 5/5\n';
 
 export async function surfaces(name) {
   const page = await openViewer(name);
@@ -91,27 +80,6 @@ export async function lights(name) {
   await close(page, 'lights');
 }
 
-// f * cos at the chosen point by `btf eval` is the colour that the inspector shows, and so are its two pictures elsewhere.
-export async function inspector(name) {
-  const page = await openViewer(name);
-  await change(page, { ...plain, levels: false, exposure: -1 });
-  const seen = await page.evaluate(() => {
-    const { uv, view, light, hex } = globalThis.viewer.inspect(0.45, 0.4), z = Math.sqrt(1 - 0.45 ** 2 - 0.4 ** 2), other = [0.45, -0.4, z];
-    const at = (k, sign) => (1 + (sign * other[k]) / (1 + z) / 1.04) * 0.5 * 192;
-    const discs = [...document.querySelectorAll('.discs canvas')].map((canvas) => [...canvas.getContext('2d').getImageData(Math.floor(at(0, 1)), Math.floor(at(1, -1)), 1, 1).data.slice(0, 3)]);
-    return { uv, view, light, other, colours: [[1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16)), ...discs] };
-  });
-  const queries = [[seen.light, seen.view], [seen.other, seen.view], [seen.light, seen.other]];
-  queries.forEach(([light, view], i) => {
-    const input = `${[...seen.uv, ...light, ...view].join(' ')}\n`;
-    const answer = execFileSync(btf, ['eval', join(work, `${name}.btfz`)], { input }).toString().trim().split(/\s+/).map(Number).slice(-3);
-    const worst = Math.max(...answer.map((f, c) => Math.abs(coded(f * Math.PI * light[2] * 0.5) - seen.colours[i][c])));
-    // a pixel of the disc is 1/92 wide, a tenth of the distance between lights: part of their contrast
-    check(`the inspector ${['names the colour', 'shows it by light', 'shows it by view'][i]} that btf eval says`, worst < 8, `${seen.colours[i]}, off by ${worst.toFixed(1)} of 255`);
-  });
-  await close(page, 'inspector');
-}
-
 export async function comparison(name) {
   const page = await openViewer(name);
   await change(page, plain);
@@ -152,12 +120,12 @@ export async function errors(name) {
   rmSync(join(work, 'incomplete', lost));
   mkdirSync(join(work, 'none'), { recursive: true });
   writeFileSync(join(work, 'none/readme.txt'), 'nothing');
-  const page = await openViewer(''), said = () => page.evaluate(() => [...document.querySelectorAll('.message.shown')].map((m) => m.firstChild.textContent).join('|'));
+  const page = await openViewer('');
   const expect = async (title, what, open) => {
     await page.evaluate(() => document.querySelector('.message button')?.click());
     await open();
     await page.waitForFunction(() => document.querySelector('.message.shown'));
-    const message = await said();
+    const message = await said(page);
     check(`a message for ${title}`, what.test(message) && !/undefined|TypeError|property/.test(message), message);
   };
   const url = (folder) => async () => {
@@ -172,7 +140,7 @@ export async function errors(name) {
   await expect('a dropped folder without a texture', new RegExp(`not complete: ${lost} is missing among`), () => dropPaths(page, [join(work, 'incomplete')]));
   await dropPaths(page, [join(work, name)]);
   await page.waitForFunction(() => document.querySelector('.welcome').hidden);
-  check('a folder that is dropped opens, and the message is gone', (await said()) === '' && centre(await picture(page, 4)) > 20);
+  check('a folder that is dropped opens, and the message is gone', (await said(page)) === '' && centre(await picture(page, 4)) > 20);
   const before = await picture(page, 4);
   await expect('a future version that is dropped', /version 2/, () => dropPaths(page, [join(work, 'future')]));
   check('after an error the material stays', meanDifference(await picture(page, 4), before) === 0);
@@ -186,6 +154,62 @@ export async function errors(name) {
   check('a message where WebGL 2 is missing', /WebGL 2/.test(text[0]) && text[1] === 'none', text[0].split('\n')[0]);
   check('no WebGL 2: no errors', without.faults.length === 0, without.faults.join(' | '));
   await old.close();
+}
+
+// Pages that are opened from disk, where browsers run no modules and read no files, and what a page with an export in it is asked for.
+export async function fromDisk(name) {
+  const text = (page) => page.evaluate(() => document.body.innerText.trim());
+  const alone = await openPage(browser, small);
+  await alone.goto(pathToFileURL(join(source, 'viewer/index.html')).href);
+  await alone.waitForFunction(() => document.body.innerText.trim());
+  check('the page from disk says that it has to be served', /served over HTTP[^]*python3 -m http\.server[^]*btf export/.test(await text(alone)));
+  await alone.context().close();
+
+  const served = await openPage(browser, small);
+  let before = null;
+  await served.route('**/src/main.js', async (route) => {
+    await served.waitForFunction(() => document.readyState !== 'loading');
+    before = await text(served);
+    await route.continue();
+  });
+  await served.goto(`${root}/viewer/index.html`);
+  await ready(served);
+  check('a page that is served does not say so, before its modules run or after', before === '' && !/served/.test(await text(served)), before);
+  await close(served, 'a page that is served');
+
+  const page = await openPage(browser, small), own = pathToFileURL(join(work, name, 'index.html')).href;
+  await page.goto(`${own}?frames=0&second=../coarse`);
+  await ready(page);
+  const said = await page.evaluate(() => [document.querySelector('.message.shown')?.firstChild.textContent, globalThis.viewer.renderer.slots.map(Boolean).join()]);
+  check('?second= from disk: a message says why not, and what to do', /may not read files on disk.*Compare with.*coarse/.test(said[0]) && !/missing/.test(said[0]) && said[1] === 'true,false', said.join());
+  await page.context().close();
+
+  const asked = await openPage(browser, small), size = (folder) => JSON.parse(readFileSync(join(work, folder, 'manifest.json'), 'utf8')).cost.texture_bytes;
+  await asked.goto(`${exported(name)}/index.html?frames=0&export=../coarse`);
+  await ready(asked);
+  const shown = await asked.evaluate(() => globalThis.viewer.renderer.slots[0].manifest.cost.texture_bytes);
+  check('?export= wins over the export in the page', shown === size('coarse') && shown !== size(name), `${shown}`);
+  await close(asked, 'a page with an export in it');
+}
+
+// Two exports of one model are told apart.
+export async function headings(name) {
+  const page = await openViewer(name, { viewport: { width: 1120, height: 780 } }, 'frames=0');
+  const titles = async (second) => {
+    await page.evaluate((url) => globalThis.viewer.open(url, 1), exported(second));
+    return page.evaluate(() => [...document.querySelectorAll('.title')].map((title) => [...title.children].map((line) => line.textContent).join(': ')));
+  };
+  const same = await titles(`${name}-zstd`);
+  check('two exports that are alike are named by their folders', same[0].endsWith(` · ${name}`) && same[1] === `${same[0]}-zstd`, same.join(' | '));
+  if (await page.evaluate(() => globalThis.viewer.renderer.gl.getExtension('EXT_texture_compression_bptc') !== null)) {
+    const others = await titles(`${name}-bc`), { psnr_db: loss } = JSON.parse(readFileSync(join(work, `${name}-bc`, 'manifest.json'), 'utf8')).cost;
+    check('an export in blocks is named so', / · bc · /.test(others[1]) && !/bc/.test(others[0]) && !others[0].endsWith(name), others.join(' | '));
+    const cells = await page.evaluate(() => [...[...document.querySelectorAll('table tr')].find((row) => row.cells[0].textContent === 'Blocks').cells].map((cell) => cell.textContent));
+    check('statistics: blocks and what they cost', cells[1] === 'none' && cells[2] === `BC7 · ${loss.toFixed(1)} dB`, cells.join(' | '));
+  }
+  await page.evaluate(() => { document.querySelector('.panel').scrollTop = 1e4; return globalThis.viewer.picture(2); });
+  await page.screenshot({ path: join(work, 'headings.png') });
+  await close(page, 'headings');
 }
 
 // What the canvas holds whenever it is drawn or emptied, while another export, surface and size replace what is there.
@@ -226,6 +250,8 @@ export async function desktop(name) {
   const manifest = JSON.parse(readFileSync(join(work, name, 'manifest.json'), 'utf8'));
   const bytes = manifest.textures.reduce((sum, { file }) => sum + read(readFileSync(join(work, name, file))).levels.reduce((s, l) => s + l.levelData.length, 0), 0);
   const rows = await page.evaluate(() => Object.fromEntries([...document.querySelectorAll('table tr')].map((row) => [row.cells[0].textContent, row.cells[1].textContent])));
+  const shown = await page.evaluate(async () => { await globalThis.viewer.picture(1); return getComputedStyle(document.querySelector('canvas.view')).opacity; });
+  check('a screenshot that follows a picture shows it whole', shown === '1', shown);
   const number = (text) => Number(text.replace(/[^0-9.]/g, ''));
   const size = number(rows.Size) * (/MiB/.test(rows.Size) ? 1 << 20 : 1024);
   check('statistics: bytes of the textures', Math.abs(size / bytes - 1) < 0.01, `${rows.Size} of ${bytes}`);

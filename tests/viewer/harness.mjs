@@ -21,7 +21,7 @@ export function serve(folders) {
 
 export const launch = (...more) => chromium.launch({ executablePath: process.env.CHROMIUM || '/usr/bin/chromium', headless: true,
   args: ['--no-sandbox', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update',
-    '--disable-sync', '--allow-file-access-from-files', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', ...more] });
+    '--disable-sync', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', ...more] });
 
 export const counts = { passed: 0, failed: 0 };
 export function check(name, ok, detail = '') {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 // The viewer in headless Chromium: node tests/viewer/run.mjs BTF WORK [--quick | --pictures]
-// --quick: the default layout of each codec, small pictures of few samples, and messages of errors.
+// --quick: the default layout of each codec, small pictures, messages of errors, and how things are opened and inspected.
 // --pictures: nothing is tested but that docs/pictures/viewer.png can be made anew.
 // WORK is an empty folder. In it come to be NAME.btfz for every codec that fits, and coarse.btfz, another model of the same material.
 import { copyFileSync } from 'node:fs';
@@ -9,6 +9,8 @@ import { attempt, check, counts } from './harness.mjs';
 import { browser, close, exported, onlyPictures, openViewer, quick, root, run, server, source, work } from './bench.mjs';
 import { inBlocks, likeRender, selfContained } from './codecs.mjs';
 import * as features from './features.mjs';
+import * as inspecting from './inspecting.mjs';
+import * as opening from './opening.mjs';
 import { inThree, roundTrip, wholeBlocks } from './textures.mjs';
 
 const material = join(work, 'material.btfd');
@@ -72,8 +74,8 @@ async function test() {
       await layout('halves', 'stacks', true);
     });
   for (const name of quick ? ['fmf'] : [...codecs.filter((codec) => codec !== 'lafortune'), 'halves']) await attempt(`${name}: blocks`, () => inBlocks(name));
-  const { errors, desktop, ...longer } = features;
-  for (const [title, feature] of Object.entries({ errors, desktop, ...(quick ? {} : longer) })) await attempt(title, () => feature('fmf'));
+  const { errors, desktop, fromDisk, headings, ...longer } = features, { inspector, ...always } = inspecting;
+  for (const [title, feature] of Object.entries({ errors, desktop, fromDisk, headings, ...opening, ...always, ...(quick ? {} : { inspector, ...longer }) })) await attempt(title, () => feature('fmf'));
   if (!quick) await attempt('screenshot', () => screenshot('fmf'));
 }
 

@@ -39,8 +39,10 @@ function mapDirection(column, row, width, height) {
   return [Math.sin(polar) * Math.sin(longitude), Math.sin(polar) * Math.cos(longitude), Math.cos(polar)];
 }
 
+const BUILT_IN = { studio, sky };
 export function builtInEnvironment(name) {
-  const radiance = name === 'sky' ? sky : studio, width = 1024, height = 512;
+  if (!Object.hasOwn(BUILT_IN, name)) throw new Error(`there is no environment "${name}"; known are ${Object.keys(BUILT_IN).join(', ')} and none`);
+  const radiance = BUILT_IN[name], width = 1024, height = 512;
   const rgb = new Float32Array(width * height * 3);
   for (let y = 0, at = 0; y < height; y++)
     for (let x = 0; x < width; x++, at += 3) rgb.set(radiance(mapDirection(x + 0.5, y + 0.5, width, height)), at);
@@ -89,9 +91,8 @@ export function readHdr(bytes, name) {
   return prepared({ name, width, height, rgb });
 }
 
-// Cells of the mean radiance, and sums along which they are drawn in proportion to the light they give.
-function prepared(map) {
-  const columns = Math.min(CELLS_X, map.width), rows = Math.min(CELLS_Y, map.height);
+// Mean radiances of a map's parts.
+function cellsOf(map, columns, rows) {
   const cells = new Float32Array(columns * rows * 3), counts = new Uint32Array(columns * rows);
   for (let y = 0, at = 0; y < map.height; y++)
     for (let x = 0; x < map.width; x++, at += 3) {
@@ -99,11 +100,14 @@ function prepared(map) {
       for (let c = 0; c < 3; c++) cells[3 * cell + c] += map.rgb[at + c];
       counts[cell]++;
     }
+  return cells.map((sum, i) => sum / Math.max(1, counts[Math.floor(i / 3)]));
+}
+
+// Cells, and sums along which they are drawn in proportion to the light they give.
+function prepared(map) {
+  const columns = Math.min(CELLS_X, map.width), rows = Math.min(CELLS_Y, map.height), cells = cellsOf(map, columns, rows);
   const sums = new Float64Array(columns * rows + 1);
-  for (let cell = 0; cell < counts.length; cell++) {
-    for (let c = 0; c < 3; c++) cells[3 * cell + c] /= Math.max(1, counts[cell]);
-    sums[cell + 1] = sums[cell] + luminance(cells, cell) * solidAngle(cell, columns, rows);
-  }
+  for (let cell = 0; cell < columns * rows; cell++) sums[cell + 1] = sums[cell] + luminance(cells, cell) * solidAngle(cell, columns, rows);
   return { ...map, columns, rows, cells, sums };
 }
 
@@ -129,9 +133,11 @@ export function sampleEnvironment(map, x, y, count, rotation) {
     irradiance: [0, 1, 2].map((c) => map.cells[3 * low + c] * factor) };
 }
 
-export function environmentTexels(map) {
-  const texels = new Float32Array(map.width * map.height * 4);
-  for (let i = 0; i < map.width * map.height; i++)
-    for (let c = 0; c < 3; c++) texels[4 * i + c] = Math.min(map.rgb[3 * i + c], MOST_RADIANCE);
-  return texels;
+// The map as a texture of at most `most` texels a side.
+export function environmentTexels(map, most) {
+  const width = Math.min(map.width, most), height = Math.min(map.height, most), fits = width === map.width && height === map.height;
+  const rgb = fits ? map.rgb : cellsOf(map, width, height), texels = new Float32Array(width * height * 4);
+  for (let i = 0; i < width * height; i++)
+    for (let c = 0; c < 3; c++) texels[4 * i + c] = Math.min(rgb[3 * i + c], MOST_RADIANCE);
+  return { width, height, texels };
 }

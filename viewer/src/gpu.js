@@ -21,6 +21,18 @@ function typed(bytes, type) {
     : new Uint16Array(aligned.buffer, aligned.byteOffset, bytes.length / 2);
 }
 
+// With a limit that is exceeded goes the option of btf export that keeps within it.
+function checkSizes(gl, { entry, width, height, depth, layers }, isArray, isVolume) {
+  const side = isVolume ? ['MAX_3D_TEXTURE_SIZE', '--max-3d'] : ['MAX_TEXTURE_SIZE', '--max-size'];
+  const sizes = [[width, 'texels wide', ...side], [height, 'texels high', ...side]];
+  if (isVolume) sizes.push([depth, 'texels deep', ...side]);
+  if (isArray) sizes.push([layers, 'layers', 'MAX_ARRAY_TEXTURE_LAYERS', '--max-layers']);
+  for (const [size, what, limit, option] of sizes) {
+    const most = gl.getParameter(gl[limit]);
+    if (size > most) throw new Error(`${entry.file}: ${size} ${what}, this browser takes ${most};\nexport with btf export ${option} ${most}`);
+  }
+}
+
 // Adds the texture to `made` as soon as there is one, for whoever frees it after a failure.
 function uploadTexture(gl, texture, made) {
   const { entry, format, width, height, depth, layers, levels } = texture;
@@ -32,6 +44,7 @@ function uploadTexture(gl, texture, made) {
     throw new Error(`${entry.file}: this browser does not filter float textures`);
   const target = { '2d': gl.TEXTURE_2D, '2d_array': gl.TEXTURE_2D_ARRAY, '3d': gl.TEXTURE_3D }[entry.dimension];
   if (!target) throw new Error(`${entry.file}: dimension ${entry.dimension} is not read`);
+  checkSizes(gl, texture, target === gl.TEXTURE_2D_ARRAY, target === gl.TEXTURE_3D);
   const object = gl.createTexture(), flat = target === gl.TEXTURE_2D;
   const [internal, pixels, type] = FORMATS[format] || [];
   const storage = bptc ? bptc[blocks] : gl[internal];
@@ -110,7 +123,8 @@ export async function makeProgramAside(gl, vertex, fragment) {
 
 export function uploadExport(gl, source) {
   const { manifest } = source, most = gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS);
-  if (manifest.textures.length > most) throw new Error(`the export has ${manifest.textures.length} textures; this browser takes ${most}`);
+  if (manifest.textures.length > most) throw new Error(`the export has ${manifest.textures.length} textures, this browser takes ${most};\nexport with btf export --max-textures ${most}`);
+  while (gl.getError() !== gl.NO_ERROR); // of what came before
   const uploaded = { textures: [], block: gl.createBuffer(), blockName: (manifest.uniform_block || {}).name };
   try {
     source.textures.forEach((texture) => uploadTexture(gl, texture, uploaded.textures));

@@ -5,7 +5,7 @@ import { builtInEnvironment, readHdr } from './environment.js';
 import { cloth, plane, readObj, sphere } from './shapes.js';
 import { aim, LightBall, rolled, watchPointers, zoomed } from './controls.js';
 import { buildPage, NARROW } from './panel.js';
-import { inspect } from './inspector.js';
+import { inspect, inspectNothing } from './inspector.js';
 import { Renderer } from './renderer.js';
 
 const SHAPES = { sphere, plane, cloth };
@@ -21,12 +21,16 @@ function startState() {
 }
 
 async function run() {
+  document.querySelector('.welcome')?.remove(); // what index.html says where modules do not run
   const state = startState(), sources = [null, null], shapes = {};
-  let renderer = null, moving = 0, last = 0, asked = false, hovered = null, mapFile = null;
+  const loads = [0, 0]; // begun for each slot; the latest counts, whichever ends first
+  let renderer = null, moving = 0, last = 0, asked = false, mapFile = null;
+  let pointed = null, inspected = null; // places of the canvas: the newest, and the last one on the surface
+  let changed = false; // since it was inspected
   let frozen = new URLSearchParams(location.search).get('frames') === '0';
 
   const ask = () => { if (!asked) { asked = true; requestAnimationFrame(draw); } };
-  const touch = () => { moving = performance.now() + 160; renderer.restart(); ask(); };
+  const touch = () => { moving = performance.now() + 160; changed = true; renderer.restart(); ask(); };
   const change = (values) => {
     Object.assign(state, values);
     page.update();
@@ -48,9 +52,9 @@ async function run() {
       change({ light: Math.max(0, state.light - 1) });
     },
     environment: (name) => (name === 'open' ? chooseFiles('.hdr', false) : setEnvironment(name)).catch(report),
-    surface: (name) => (name === 'obj' && !shapes.obj ? chooseFiles('.obj', false) : setSurface(name)),
+    surface: (name) => (name === 'obj' && (!shapes.obj || state.surface === 'obj') ? chooseFiles('.obj', false) : setSurface(name)),
     open: (slot) => chooseFiles('', true, slot),
-    openUrl: (url, slot) => load(fromUrl(url), slot).catch(report),
+    openUrl: (url, slot) => openUrl(url, slot).catch(report),
     swap: () => {
       sources.reverse();
       renderer.slots.reverse();
@@ -60,7 +64,6 @@ async function run() {
   };
   const page = buildPage(state, actions), canvas = page.view;
   const report = (error) => {
-    page.progress(1);
     page.say(error.message);
     page.welcome.hidden = Boolean(sources[0]);
   };
@@ -78,20 +81,27 @@ async function run() {
     moving = 0;
   }
   async function load(read, slot) {
-    if (!read) sources[slot] = null;
-    else {
-      page.say('');
-      page.progress(0.05);
-      const source = await readExport(read, (share) => page.progress(0.05 + 0.8 * share));
-      await renderer.setExport(slot, source);
-      source.textures = null; // their bytes are on the GPU now
+    const mine = ++loads[slot], isLatest = () => loads[slot] === mine;
+    try {
+      let source = null;
+      if (read) {
+        page.say('');
+        page.progress(0.05);
+        source = await readExport(read, (share) => { if (isLatest()) page.progress(0.05 + 0.8 * share); });
+      }
+      if (!isLatest() || !(await renderer.setExport(slot, source, isLatest))) return;
+      if (source) source.textures = null; // their bytes are on the GPU now
       sources[slot] = source;
-      if (slot === 1) state.compare = 'split';
+      if (source && slot === 1) state.compare = 'split';
+      page.progress(1);
+      showSources();
+    } catch (error) {
+      if (!isLatest()) return;
+      page.progress(1);
+      throw error;
     }
-    if (!read) await renderer.setExport(slot, null);
-    page.progress(1);
-    showSources();
   }
+  const openUrl = async (url, slot) => load(fromUrl(url), slot);
   function setSurface(name) {
     if (!shapes[name]) shapes[name] = SHAPES[name]();
     renderer.setShape(shapes[name]);
@@ -99,7 +109,7 @@ async function run() {
     change({ surface: name, camera: [azimuth, elevation], distance });
   }
   async function setEnvironment(name) {
-    const map = name === 'none' ? null : name === 'file' ? mapFile : builtInEnvironment(name);
+    const map = name === 'none' ? null : name === 'file' && mapFile ? mapFile : builtInEnvironment(name);
     renderer.setEnvironment(map);
     change({ environment: name });
   }
@@ -107,7 +117,10 @@ async function run() {
     const named = (ending) => files.find((file) => file.name.toLowerCase().endsWith(ending));
     const bytes = async (file) => new Uint8Array(await file.arrayBuffer());
     page.say('');
-    if (named('manifest.json')) await load(fromFiles(files), slot);
+    const exports = fromFiles(files);
+    if (exports.length > 2) throw new Error(`${exports.length} exports at once; one can be shown, and two compared`);
+    if (exports.length === 2) for (const i of [0, 1]) await load(exports[i], i);
+    else if (exports.length === 1) await load(exports[0], slot);
     else if (named('.hdr')) {
       mapFile = readHdr(await bytes(named('.hdr')), named('.hdr').name);
       state.file = mapFile.name;
@@ -139,6 +152,7 @@ async function run() {
     const box = page.stage.getBoundingClientRect(), most = Math.sqrt(MOST_PIXELS / Math.max(1, box.width * box.height));
     const ratio = Math.min(devicePixelRatio || 1, most);
     const emptied = renderer.resize(Math.max(1, Math.round(box.width * ratio)), Math.max(1, Math.round(box.height * ratio)));
+    if (emptied) changed = true;
     // the browser paints next: an empty canvas would flash
     if (emptied && renderer.slots[0] && !frozen) { moving = performance.now() + 160; paint(performance.now()); }
     ask();
@@ -153,9 +167,16 @@ async function run() {
     last = now;
     ball.draw();
     if (renderer.slots[0] && renderer.shape) canvas.classList.add('ready');
-    if (state.inspect && hovered && sources[0]) inspect(renderer, page, state, hovered[0], hovered[1]);
-    hovered = isMoving ? hovered : null;
+    if (state.inspect && sources[0]) inspectAgain();
     page.frames.textContent = `${Math.min(renderer.sample, renderer.samplesWanted)} of ${renderer.samplesWanted} samples, ${canvas.width} × ${canvas.height}`;
+  }
+
+  // Beside the surface the last place on it is kept, so that a way to the panel does not lose it.
+  function inspectAgain() {
+    if (pointed && inspect(renderer, page, state, ...pointed)) inspected = pointed;
+    else if (changed && inspected && !inspect(renderer, page, state, ...inspected)) inspectNothing(page);
+    pointed = null;
+    changed = false;
   }
 
   // ---- input ----
@@ -169,9 +190,8 @@ async function run() {
   };
   const cycle = (list, value) => list[(list.indexOf(value) + 1) % list.length];
   function point(x, y) {
-    if (!state.inspect) return;
-    hovered = [x, y];
-    ask();
+    pointed = [x, y];
+    if (state.inspect) ask();
   }
   watchPointers(canvas, {
     orbit,
@@ -192,7 +212,7 @@ async function run() {
     const box = page.stage.getBoundingClientRect();
     state.line = clamp((event.clientX - box.left) / box.width, 0, 1);
     place();
-    renderer.dirty = true;
+    changed = renderer.dirty = true;
     ask();
   });
   const STEP = 4;
@@ -259,18 +279,20 @@ async function run() {
   if (wanted.get('panel') === '0') document.body.classList.add('bare');
   if (matchMedia(NARROW).matches) document.body.classList.add('wide');
   resize();
-  if (wanted.get('env')) await setEnvironment(wanted.get('env'));
+  let unknown = null;
+  if (wanted.get('env')) await setEnvironment(wanted.get('env')).catch((error) => { unknown = error; });
   page.welcome.hidden = Boolean(embedded || wanted.get('export'));
   // for tests, and for pages that embed this one
   globalThis.viewer = {
     state, renderer, ball, change, setSurface, setEnvironment, take, swap: actions.swap,
-    open: (url, slot = 0) => load(fromUrl(url), slot),
+    open: (url, slot = 0) => openUrl(url, slot),
     inspect: (x, y) => inspect(renderer, page, state, x, y),
     async picture(samples) {
       const before = frozen;
       frozen = true;
       await renderer.complete(state, samples);
       const url = canvas.toDataURL('image/png');
+      canvas.style.transition = 'none'; // a screenshot that follows shows it whole
       canvas.classList.add('ready');
       ball.draw();
       frozen = before;
@@ -278,9 +300,10 @@ async function run() {
     },
   };
   try {
-    if (embedded) await load(embedded, 0);
-    else if (wanted.get('export')) await load(fromUrl(wanted.get('export')), 0);
-    if (wanted.get('second')) await load(fromUrl(wanted.get('second')), 1);
+    if (wanted.get('export')) await openUrl(wanted.get('export'), 0);
+    else if (embedded) await load(embedded, 0);
+    if (wanted.get('second')) await openUrl(wanted.get('second'), 1);
+    if (unknown) throw unknown; // after what clears messages
   } catch (error) { report(error); }
   globalThis.viewer.ready = true;
 }

@@ -35,6 +35,10 @@ function toggle(label, get, set, title = '') {
 const toHex = (colour) => `#${colour.map((v) => Math.round(255 * Math.min(v, 1) ** (1 / 2.2)).toString(16).padStart(2, '0')).join('')}`;
 const fromHex = (text) => [1, 3, 5].map((at) => (parseInt(text.slice(at, at + 2), 16) / 255) ** 2.2);
 const mebibytes = (bytes) => (bytes < 1 << 20 ? `${(bytes / 1024).toFixed(1)} KiB` : `${(bytes / (1 << 20)).toFixed(2)} MiB`);
+const BLOCK_NAMES = { 143: 'BC6H', 144: 'BC6H', 145: 'BC7', 146: 'BC7' }; // by VkFormat
+const blocksOf = ({ textures }) => [...new Set(textures.map((texture) => BLOCK_NAMES[texture.vk_format]).filter(Boolean))];
+// A material's name, and how it was exported.
+const headingOf = ({ manifest: m, bytes }) => [m.name || m.codec, [m.codec, m.layout, ...(blocksOf(m).length ? ['bc'] : []), mebibytes(bytes)].join(' · ')];
 const signed = (x) => `${x > 0 ? '+' : ''}${x.toFixed(1)}`;
 
 const KEYS = [
@@ -139,19 +143,20 @@ export function buildPage(state, actions) {
   page.update = () => parts.forEach((part) => part.update());
 
   page.describe = (sources) => {
+    const present = sources.filter(Boolean), alike = present.length > 1 && new Set(present.map((source) => headingOf(source).join())).size === 1;
     sources.forEach((source, i) => {
       const title = page.titles[i];
       title.replaceChildren();
       if (!source) return;
-      const { manifest } = source;
-      title.append(make('h1', { textContent: manifest.name || manifest.codec }),
-        make('p', { textContent: `${manifest.codec} · ${manifest.layout} · ${mebibytes(source.bytes)}` }));
+      const [name, how] = headingOf(source);
+      title.append(make('h1', { textContent: name }), make('p', { textContent: alike && source.folder ? `${how} · ${source.folder}` : how }));
     });
-    const present = sources.filter(Boolean), row = (label, write) => make('tr', {}, make('td', { textContent: label }), ...present.map((s) => make('td', { textContent: write(s) })));
+    const row = (label, write) => make('tr', {}, make('td', { textContent: label }), ...present.map((s) => make('td', { textContent: write(s) })));
     page.statistics.replaceChildren(
       row('Codec', ({ manifest: m }) => m.codec), row('Layout', ({ manifest: m }) => m.layout),
       row('Texels', ({ manifest: m }) => `${m.width} × ${m.height}`), row('Levels', ({ manifest: m }) => m.levels),
       row('Textures', ({ manifest: m }) => m.textures.length), row('Size', ({ bytes }) => mebibytes(bytes)),
+      row('Blocks', ({ manifest: m }) => (blocksOf(m).length ? `${blocksOf(m).join(', ')} · ${m.cost.psnr_db.toFixed(1)} dB` : 'none')),
       row('Fetches', ({ manifest: m }) => Math.round(m.cost.fetches).toLocaleString('en')),
       row('Bytes read', ({ manifest: m }) => Math.round(m.cost.bytes).toLocaleString('en')),
       row('Operations', ({ manifest: m }) => Math.round(m.cost.flops).toLocaleString('en')),

@@ -59,17 +59,24 @@ export class Renderer {
     }
   }
 
-  // The material before stays until the new one can be drawn.
-  async setExport(slot, source) {
-    const { gl } = this, made = source && await this.makeMaterial(source), old = this.slots[slot];
+  freeMaterial({ uploaded, shade, disc }) {
+    freeExport(this.gl, uploaded);
+    for (const { program } of [shade, disc]) this.gl.deleteProgram(program);
+  }
+
+  // The material before stays until the new one can be drawn. False where that was no longer wanted by then.
+  async setExport(slot, source, isWanted = () => true) {
+    const made = source && await this.makeMaterial(source), old = this.slots[slot];
+    if (!isWanted()) {
+      if (made) this.freeMaterial(made);
+      return false;
+    }
     this.slots[slot] = made;
     if (made && old) made.means = old.means;
-    if (old) {
-      freeExport(gl, old.uploaded);
-      for (const { program } of [old.shade, old.disc]) gl.deleteProgram(program);
-      if (source === null && old.means) old.means.forEach((target) => freeTarget(gl, target));
-    }
+    if (old) this.freeMaterial(old);
+    if (old && old.means && !made) old.means.forEach((target) => freeTarget(this.gl, target));
     this.restart();
+    return true;
   }
 
   setShape(shape) {
@@ -101,12 +108,13 @@ export class Renderer {
   setEnvironment(map) {
     const { gl } = this;
     if (this.mapTexture) gl.deleteTexture(this.mapTexture);
-    this.map = map;
-    this.mapTexture = null;
+    Object.assign(this, { map, mapTexture: null });
     if (map) {
       this.mapTexture = gl.createTexture();
       gl.bindTexture(gl.TEXTURE_2D, this.mapTexture);
-      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, map.width, map.height, 0, gl.RGBA, gl.FLOAT, environmentTexels(map));
+      const { width, height, texels } = environmentTexels(map, gl.getParameter(gl.MAX_TEXTURE_SIZE));
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, width, height, 0, gl.RGBA, gl.FLOAT, texels);
+      this.backdropLevel = 3.5 + Math.log2(width / 1024);
       gl.generateMipmap(gl.TEXTURE_2D);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
@@ -202,7 +210,7 @@ export class Renderer {
     gl.uniform3fv(uniforms.camera_back, camera.back);
     gl.uniform2f(uniforms.half_size, (camera.halfHeight * width) / height, camera.halfHeight);
     gl.uniform1f(uniforms.rotation, (state.rotation * Math.PI) / 180);
-    gl.uniform1f(uniforms.level, 3.5 + Math.log2(this.map.width / 1024));
+    gl.uniform1f(uniforms.level, this.backdropLevel);
     this.drawScreen();
   }
 
@@ -356,6 +364,7 @@ export class Renderer {
     gl.enable(gl.DEPTH_TEST);
     gl.useProgram(program);
     this.setSurface(uniforms, slot, state, camera, width, height, [0, 0], 1);
+    gl.uniform1i(uniforms.is_clamped, slot.manifest.wrap === 'clamp' ? 1 : 0);
     gl.uniform3fv(uniforms.picked_light, light ? directionOf(light.azimuth, light.elevation) : [0, 0, 1]);
     this.drawShape();
     gl.disable(gl.DEPTH_TEST);
@@ -366,7 +375,7 @@ export class Renderer {
       return [...values];
     };
     const place = read(0), view = read(1).slice(0, 3), toLight = read(2).slice(0, 3);
-    return place[3] > 0 ? { uv: place.slice(0, 2), lod: place[2], view, light: toLight } : null;
+    return place[3] > 0 ? { uv: place.slice(0, 2), lod: place[2], view, light: light ? toLight : [0, 0, 1] } : null;
   }
 
   // A hemisphere of f * cos at a place, by light (the view fixed) or by view (the light fixed), as coded pixels.

@@ -147,12 +147,13 @@ void main() {
 
 export const PICK_FRAGMENT = `${HEAD}${SURFACE}
 uniform vec3 picked_light;
+uniform bool is_clamped; /* beyond its sides the material goes on as at them */
 layout(location = 0) out vec4 place;
 layout(location = 1) out vec4 view;
 layout(location = 2) out vec4 light;
 void main() {
   surface s = surface_here();
-  place = vec4(fract(s.uv), lod_of(s), 1.0);
+  place = vec4(is_clamped ? clamp(s.uv, 0.0, 1.0) : fract(s.uv), lod_of(s), 1.0);
   view = vec4(view_of(s), 1.0);
   light = vec4(to_local(s, picked_light), 1.0);
 }

@@ -134,12 +134,13 @@ export function cloth() {
 // Wavefront OBJ: v, vt, vn and f. Faces without texture coordinates are projected along their largest axis.
 export function readObj(text, name) {
   const v = [], vt = [], vn = [], corners = [];
-  const index = (word, count) => {
-    const value = parseInt(word, 10), i = value > 0 ? value - 1 : count + value;
-    if (!(i >= 0 && i < count)) throw new Error(`${name}: a face with the index ${word} out of range`);
-    return i;
+  const outside = (word) => { throw new Error(`${name}: a face with the index ${word} out of range`); };
+  const index = (word, count) => { // negative ones count back from their line
+    const value = parseInt(word, 10), i = value < 0 ? count + value : value - 1;
+    return i >= 0 ? i : outside(word);
   };
-  for (const line of text.split('\n')) {
+  const lines = text.replace(/^\s*#.*$/gm, '').replace(/\\\r?\n/g, ' ').split('\n'); // a backslash continues a line, but no comment
+  for (const line of lines) {
     const [word, ...rest] = line.trim().split(/\s+/);
     if (word === 'v') v.push(rest.slice(0, 3).map(Number));
     else if (word === 'vt') vt.push(rest.slice(0, 2).map(Number));
@@ -153,6 +154,8 @@ export function readObj(text, name) {
     }
   }
   if (!corners.length) throw new Error(`${name}: holds no faces; expected a Wavefront OBJ`);
+  for (const { p, t, n } of corners) // may come before what they name
+    for (const [i, list] of [[p, v], [t, vt], [n, vn]]) if (i >= list.length) outside(i + 1);
   const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
   for (const { p } of corners)
     for (let k = 0; k < 3; k++) { low[k] = Math.min(low[k], v[p][k]); high[k] = Math.max(high[k], v[p][k]); }
