@@ -6,13 +6,7 @@
 # spirv-cross is missing.
 set -u
 btf=$1
-for tool in glslangValidator spirv-cross; do
-  command -v "$tool" >/dev/null || { echo "skipped: no $tool"; exit 77; }
-done
-work=$(mktemp -d "${TMPDIR:-/tmp}/btf-glsl-XXXXXX")
-trap 'rm -rf "$work"' EXIT
-passed=0
-failed=0
+. "${BASH_SOURCE%/*}/shader_checks.sh" glslangValidator spirv-cross
 shaders=0
 
 # Material, codec and parameters. More than 256 clusters or entries are numbered by two bytes.
@@ -56,20 +50,6 @@ END
   for material in two four; do
     printf "$material %s\n" fmf lafortune 'lafortune color=channel' 'pvpca color=texels'
   done
-}
-
-# check NAME COMMAND...: the command must succeed and say nothing of warnings.
-check() {
-  local name=$1
-  shift
-  if "$@" >"$work/out.txt" 2>&1 && ! grep -qi warning "$work/out.txt"; then
-    passed=$((passed + 1))
-  else
-    failed=$((failed + 1))
-    echo "FAILED: $name"
-    head -5 "$work/out.txt"
-    return 1
-  fi
 }
 
 # shader VERSION-LINES FOLDER FILE
@@ -139,5 +119,4 @@ while read -r material codec parameters; do
 done < <(variants)
 check "there were blocks and pages" test "$(sort -u "$work/met" | wc -l)" = 2
 echo "$shaders shaders"
-echo "$passed passed, $failed failed"
-[ "$failed" = 0 ]
+finish

@@ -5,27 +5,7 @@
 # glslangValidator, spirv-dis or FMF is missing.
 set -u
 btf=$1
-for tool in glslangValidator spirv-dis; do
-  command -v "$tool" >/dev/null || { echo "skipped: no $tool"; exit 77; }
-done
-work=$(mktemp -d "${TMPDIR:-/tmp}/btf-several-XXXXXX")
-trap 'rm -rf "$work"' EXIT
-passed=0
-failed=0
-
-# check NAME COMMAND...
-check() {
-  local name=$1
-  shift
-  if "$@" >"$work/out.txt" 2>&1; then
-    passed=$((passed + 1))
-  else
-    failed=$((failed + 1))
-    echo "FAILED: $name"
-    head -5 "$work/out.txt"
-    return 1
-  fi
-}
+. "${BASH_SOURCE%/*}/shader_checks.sh" glslangValidator spirv-dis
 
 # export_model NAME CODEC MATERIAL: the shader as NAME.glsl
 export_model() {
@@ -81,5 +61,4 @@ glslangValidator -V "$work/vulkan.frag" -o "$work/vulkan.spv" >/dev/null
 check "bindings that meet are noticed" eval '! unique "$work/vulkan.spv"'
 check "another material of the same codec" export_model other fmf second &&
   check "has the same text" cmp "$work/wool.glsl" "$work/other.glsl"
-echo "$passed passed, $failed failed"
-[ "$failed" = 0 ]
+finish
