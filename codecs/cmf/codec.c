@@ -10,6 +10,7 @@ static const char *const averages[] = {"valid", "uniform", NULL};
 static const char *const grids[] = {"parabolic", "angular", NULL};
 static const char *const map_kinds[] = {"parabolic", "cube", NULL};
 static const char *const storages[] = {"u8", "f16", "f32", NULL};
+static const char *const full_scales[] = {"least_loss", "largest", NULL};
 static const char *const clusterings[] = {"kmeans", "tree", "mediancut", NULL};
 
 BTF_PARAM(factors, BTF_PARAM_INT, "3: P(light) Q(half) R(view); 4: D(difference) as well; not with chain",
@@ -46,6 +47,10 @@ BTF_PARAM(log_floor, BTF_PARAM_FLOAT,
           "least value to take the logarithm of, relative to the largest of the ABRDF", NULL, "0.003", NULL,
           1e-6, 1);
 BTF_PARAM(storage, BTF_PARAM_CHOICE, "values of maps and scales", NULL, "u8", storages, 0, 0);
+BTF_PARAM(full_scale, BTF_PARAM_CHOICE,
+          "what byte 255 of a texel's scale stands for: what loses least, cutting scales above it, or the "
+          "largest; with storage=u8",
+          NULL, "least_loss", full_scales, 0, 0);
 BTF_PARAM(codebook, BTF_PARAM_INT,
           "entries of each factor's codebook, unused with psnr or rmse; 0 = maps of every texel's own", NULL,
           "256", NULL, 0, CMF_MAX_CODEBOOK);
@@ -73,9 +78,9 @@ BTF_PARAM(
     NULL, "0.4", NULL, 0, INFINITY);
 
 static const btf_param_desc *const params[] = {
-    &factors,      &chain,     &method,  &residue, &sweeps,    &average, &symmetric, &grid, &resolution,
-    &map,          &edge,      &epsilon, &lambda,  &log_floor, &storage, &codebook,  &psnr, &rmse,
-    &max_codebook, &max_terms, &cluster, &samples, &rotate,    &levels,  &advise,    NULL};
+    &factors,      &chain,     &method,  &residue, &sweeps,    &average, &symmetric, &grid,       &resolution,
+    &map,          &edge,      &epsilon, &lambda,  &log_floor, &storage, &codebook,  &psnr,       &rmse,
+    &max_codebook, &max_terms, &cluster, &samples, &rotate,    &levels,  &advise,    &full_scale, NULL};
 
 static uint32_t level_count(const void *state) {
   return ((const btfi_cmf_state *)state)->levels;

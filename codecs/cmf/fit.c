@@ -218,7 +218,7 @@ static room plan_room(btfi_cmf_fitting *f) {
   const uint64_t abrdf = ((uint64_t)f->pairs * f->channels * sizeof(float) + 63) / 64 * 64;
   const uint64_t maps = ((uint64_t)f->factors * f->map_values * sizeof(float) + 63) / 64 * 64;
   room r = {.scales = texels * f->scales * f->channels,
-            .energies = f->storage == CMF_U8 ? texels * f->channels : 0};
+            .energies = f->storage == CMF_U8 && !f->full_is_largest ? texels * f->channels : 0};
   f->threads = f->host->thread_count(f->ctx);
   f->thread_bytes = f->geometry->scratch_bytes + maps + (f->rotate ? 2 * abrdf : 0);
   f->store_kind = f->storage == CMF_U8 ? CMF_U8 : CMF_F16;

@@ -54,7 +54,8 @@ typedef struct btfi_cmf_fitting {
   double target;      /* squared error of the finest level */
   double target_psnr; /* that it stands for, 0 if it is an rmse */
   double lambda, floor;
-  double advise; /* relative error above which the log warns */
+  bool full_is_largest; /* what byte 255 of a scale stands for */
+  double advise;        /* relative error above which the log warns */
   uint32_t width, height, channels, lights, views, pairs;
   uint32_t levels;
   uint64_t level_first[CMF_MAX_LEVELS + 1]; /* texels of finer levels */

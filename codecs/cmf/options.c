@@ -23,7 +23,7 @@ static btf_status read_chain(btfi_cmf_fitting *f, const btf_options *options) {
   return BTF_OK;
 }
 
-/* Refuses what the method or the chain leaves without effect. */
+/* Refuses what the method, the storage or the chain leaves without effect. */
 static btf_status refuse_unused(const btfi_cmf_fitting *f, const btf_options *options) {
   static const char *const of_stages[] = {"residue", "sweeps",     "average",   "epsilon",
                                           "grid",    "resolution", "symmetric", NULL};
@@ -36,6 +36,8 @@ static btf_status refuse_unused(const btfi_cmf_fitting *f, const btf_options *op
     if (host->option_is_set(options, unused[i]))
       return host->fail(f->ctx, BTF_E_INVALID_ARG, "cmf: %s has no effect %s method=homomorphic", unused[i],
                         homomorphic ? "with" : "without");
+  if (f->storage != CMF_U8 && host->option_is_set(options, "full_scale"))
+    return host->fail(f->ctx, BTF_E_INVALID_ARG, "cmf: full_scale has no effect without storage=u8");
   if (chain != NULL && *chain != '\0' && host->option_is_set(options, "factors"))
     return host->fail(f->ctx, BTF_E_INVALID_ARG, "cmf: factors has no effect with a chain, \"%s\"", chain);
   return BTF_OK;
@@ -45,6 +47,7 @@ btf_status btfi_cmf_read_options(btfi_cmf_fitting *f, const btf_options *options
   const btf_host *host = f->host;
   btfi_cmf_settings *s = &f->settings;
   s->method = (uint32_t)host->option(options, "method");
+  f->storage = (uint32_t)host->option(options, "storage");
   BTF_TRY(refuse_unused(f, options));
   s->residue = (uint32_t)host->option(options, "residue");
   s->average = (uint32_t)host->option(options, "average");
@@ -55,13 +58,13 @@ btf_status btfi_cmf_read_options(btfi_cmf_fitting *f, const btf_options *options
   s->edge = (uint32_t)host->option(options, "edge");
   s->sweeps = (uint32_t)host->option(options, "sweeps");
   s->epsilon = host->option(options, "epsilon");
-  f->storage = (uint32_t)host->option(options, "storage");
   f->entries = (uint32_t)host->option(options, "codebook");
   f->clustering = (uint32_t)host->option(options, "cluster");
   f->wanted_samples = (uint64_t)host->option(options, "samples");
   f->rotate = host->option(options, "rotate") != 0.0;
   f->lambda = host->option(options, "lambda");
   f->floor = host->option(options, "log_floor");
+  f->full_is_largest = host->option(options, "full_scale") != 0.0;
   f->advise = host->option(options, "advise");
   f->levels = (uint32_t)host->option(options, "levels");
   if (f->wanted_samples == 0) f->wanted_samples = UINT32_MAX;

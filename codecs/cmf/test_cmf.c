@@ -338,7 +338,8 @@ static void test_options_without_effect(void **unused) {
                                          {"lambda=3", "lambda"},
                                          {"method=nonnegative lambda=1", "lambda"},
                                          {"method=svd log_floor=0.01", "log_floor"},
-                                         {"chain=io factors=3", "factors"}};
+                                         {"chain=io factors=3", "factors"},
+                                         {"storage=f16 full_scale=largest", "full_scale"}};
   (void)unused;
   btf_context *ctx = test_context(&memory);
   material m = material_create(ctx, BUMPS, "grid:4x2", 2, 1, 1);
