@@ -4,7 +4,7 @@
 for tool in "$@"; do
   command -v "$tool" >/dev/null || { echo "skipped: no $tool"; exit 77; }
 done
-work=$(mktemp -d "${TMPDIR:-/tmp}/btf-shaders-XXXXXX")
+work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 passed=0
 failed=0
